@@ -48,8 +48,14 @@ def read_text(path: Path, most: int, encoding: str = "utf-8") -> str:
     return read_bytes(path, most).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
 
 
-def read_json(path: Path, encoding: str = "utf-8", most: int = MOST_JSON) -> Any:
-    """What a JSON file holds. Raises OSError as `open_plain` does, and ValueError where it is no JSON."""
+def read_json(path: Path, encoding: str | None = "utf-8", most: int = MOST_JSON) -> Any:
+    """What a JSON file holds. Raises OSError as `open_plain` does, and ValueError where it is no JSON.
+
+    `encoding` None: any Unicode, as the file begins. Some editors write a byte order mark, and PowerShell writes UTF-16.
+    """
+    if encoding is None:
+        content = read_bytes(path, most)
+        return parse_json(content.decode(json.detect_encoding(content)))
     return parse_json(read_text(path, most, encoding))
 
 

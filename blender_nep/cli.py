@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from blender_nep.command_line import parser, sphere
 from blender_nep.safety.printed_text import one_line
-from blender_nep.safety.standard_streams import open_closed_streams, tell
+from blender_nep.safety.standard_streams import open_closed_streams, prints_go_to_errors, tell
 
 if TYPE_CHECKING:
     from blender_nep.capture.photos.mask_files import MaskMeaning
@@ -61,14 +61,15 @@ def _info(options: argparse.Namespace) -> int:
     from blender_nep.files import jsonable
 
     try:
-        found = summarize(
-            options.capture,
-            options.picture,
-            sphere(options),
-            use_masks=options.masks != "ignore",
-            mask_meaning=_mask_meaning(options),
-            turntable=_turntable(options),
-        )
+        with prints_go_to_errors():  # such as OpenEXR's warnings
+            found = summarize(
+                options.capture,
+                options.picture,
+                sphere(options),
+                use_masks=options.masks != "ignore",
+                mask_meaning=_mask_meaning(options),
+                turntable=_turntable(options),
+            )
     except NepError as error:
         if options.json:
             _tell(json.dumps({"error": jsonable(error.to_dict())}, indent=1))

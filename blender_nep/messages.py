@@ -200,6 +200,11 @@ WORDS: dict[str, str] = {
     # warnings about a capture
     "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from the declared w x h (same aspect; "
     "intrinsics rescaled): {names}",
+    "capture.frames_twice": "{count} {count:photo is|photos are} listed twice with the same camera: {names}",
+    "capture.cameras_in_object": "{count} {count:photo is|photos are} left out: {count:its camera stands|their cameras "
+    "stand} where the object is, as if no place had been found: {names}",
+    "capture.two_forms": "{place} holds the model as binary and as text, and they differ: {used} counts ({photos} photos). "
+    "Delete the other one, or the wrong one",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
     "capture.angles_disagree": "camera_angle_y (or y_fov) of {count} {count:photo|photos} does not fit camera_angle_x: "
@@ -246,6 +251,29 @@ WORDS: dict[str, str] = {
     "capture.masks_dim": "no value in the masks is above {percent:.2g} % of white: that value counts as white",
     "capture.masks_background": "white in the masks covers the surroundings, and black the object: the masks are "
     "inverted. If white is the object, give --masks object",
+    "capture.masks_turned": "{count} {count:mask is|masks are} black where the others are white, "
+    "and {count:is|are} inverted: {names}",
+    "capture.masks_labels": "the masks show {count} things in different colors: the color where the cameras look "
+    "({color}) is taken as the object, and all others as its surroundings. If that is wrong, save masks whose white is the "
+    "object",
+    "capture.masks_pictures": "the masks are pictures before one color ({color}): what has another color is taken as the "
+    "object. Masks in black and white are more exact",
+    "capture.masks_colors_unclear": "the masks are colored, and no color covers the borders: only their red channel "
+    "counts. Save masks whose white is the object",
+    "capture.alpha_inverted": "the photos are transparent where the object is: their alpha is inverted, and the photos "
+    "count as whole ones. If that is wrong, give --masks object",
+    "capture.masks_do_not_fit": "the masks are not used: seen from the places of their cameras, they show no common body "
+    "(it would explain {percent:.0f} % of a mask). Look whether each mask is that of its photo. To use them all the same, "
+    "give --masks object",
+    "capture.masks_hardly_fit": "the masks hardly fit each other: seen from the places of their cameras, a common body "
+    "explains {percent:.0f} % of a mask. Look whether each mask is that of its photo, and whether the cameras are right",
+    "capture.masks_full": "{count} {count:photo is|photos are} left out: {count:its mask is|their masks are} white "
+    "everywhere ({names})",
+    "capture.alpha_usable": "the transparent pixels of the photos are not their surroundings: they ({percent:.1f} % of a "
+    "photo) are left out, and the object is found without masks. If alpha shows the object, give --masks object",
+    "capture.masks_rescaled": "{count} {count:mask has|masks have} another size than {count:its photo|their photos}, with "
+    "the same aspect, and {count:is|are} scaled: {names}",
+    "capture.masks_other_kind": "the files in {place} cannot be read as masks ({kinds}): save them as PNG",
     "capture.masks_usable": "white in the masks is not the object but what may be used: the black pixels ({percent:.1f} % "
     "of a photo) are left out, and the object is found without masks. If white is the object, give --masks object",
     "capture.masks_not_used": "the masks are not used: {percent:.0f} % of a photo is black, and white does not show the "
@@ -282,6 +310,8 @@ WORDS: dict[str, str] = {
     "capture.photos_reduced": "there are {photos} photos: each is scaled down to {pixels} pixels, because all photos "
     "together may have {limit}",
     "capture.masks_missing": "masks are not used: {count} {count:photo has|photos have} none ({names})",
+    "capture.masks_lacking": "{count} {count:photo is|photos are} left out: {count:it has|they have} no mask, unlike the "
+    "others ({names})",
     "capture.masks_empty": "{count} {count:photo is|photos are} left out: {count:its mask shows|their masks show} nothing "
     "({names})",
     "capture.cut_outs_need_masks": "the photos are cut-outs (alpha) and their surroundings are black; results need the "

@@ -105,6 +105,10 @@ MESSAGES = {
     # warnings about a capture
     "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from what the capture says, and "
     "{count:is|are} used all the same: {names}",
+    "capture.frames_twice": "{count} {count:photo is|photos are} listed twice with the same camera: {names}",
+    "capture.cameras_in_object": "{count} {count:photo is|photos are} left out: {count:its camera stands|their cameras "
+    "stand} where the object is, as if no place had been found: {names}",
+    "capture.two_forms": "{place} holds the model as binary and as text, and they differ: {used} counts ({photos} photos)",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
     "capture.angles_disagree": "The vertical angle of view of {count} {count:photo|photos} does not fit the horizontal "
@@ -148,6 +152,27 @@ MESSAGES = {
     "capture.masks_dim": "No value in the masks is above {percent:.2g} % of white: that value counts as white",
     "capture.masks_background": "White in the masks covers the surroundings, and black the object: the masks are inverted. "
     "Turn Use Masks off if that is wrong",
+    "capture.masks_turned": "{count} {count:mask is|masks are} black where the others are white, "
+    "and {count:is|are} inverted: {names}",
+    "capture.masks_labels": "The masks show {count} things in different colors: the color where the cameras look "
+    "({color}) is taken as the object. Paint the object white and the rest black if that is wrong",
+    "capture.masks_pictures": "The masks are pictures before one color ({color}): what has another color is taken as the "
+    "object. Masks in black and white are more exact",
+    "capture.masks_colors_unclear": "The masks are colored, and no color covers the borders: only their red channel "
+    "counts. Paint the object white and the rest black",
+    "capture.alpha_inverted": "The photos are transparent where the object is: their alpha is inverted, and the photos "
+    "count as whole ones. Turn Use Masks off if that is wrong",
+    "capture.masks_do_not_fit": "The masks are not used: seen from the places of their cameras, they show no common body "
+    "(it would explain {percent:.0f} % of a mask). Look whether each mask is that of its photo",
+    "capture.masks_hardly_fit": "The masks hardly fit each other: seen from the places of their cameras, a common body "
+    "explains {percent:.0f} % of a mask. Look whether each mask is that of its photo, and whether the cameras are right",
+    "capture.masks_full": "{count} {count:photo|photos} left out: {count:its mask is|their masks are} white "
+    "everywhere: {names}",
+    "capture.alpha_usable": "The transparent pixels of the photos are not their surroundings: they ({percent:.1f} % of a "
+    "photo) are left out, and the object is found without masks. Turn Use Masks off if that is wrong",
+    "capture.masks_rescaled": "{count} {count:mask has|masks have} another size than {count:its photo|their photos}, and "
+    "{count:is|are} scaled: {names}",
+    "capture.masks_other_kind": "The files in {place} cannot be read as masks ({kinds}): save them as PNG",
     "capture.masks_usable": "White in the masks is not the object but what may be used: the black pixels ({percent:.1f} % "
     "of a photo) are left out. Turn Use Masks off if that is wrong",
     "capture.masks_not_used": "The masks are not used: {percent:.0f} % of a photo is black, and white does not show the "
@@ -181,6 +206,8 @@ MESSAGES = {
     "capture.photos_black": "{count} {count:photo is|photos are} black and {count:is|are} left out: {names}",
     "capture.photos_reduced": "There are {photos} photos, so each is scaled down to {pixels} pixels",
     "capture.masks_missing": "Masks are not used: {count} {count:photo has|photos have} none ({names})",
+    "capture.masks_lacking": "{count} {count:photo|photos} left out: {count:it has|they have} no mask, unlike the others "
+    "({names})",
     "capture.masks_empty": "{count} {count:photo|photos} left out: {count:its mask is|their masks are} empty: {names}",
     "capture.cut_outs_need_masks": "The photos are cut-outs and their surroundings are black: results need the masks",
     "capture.few_photos": "Only {photos} photos: 20 and more give a better shape",
@@ -352,6 +379,10 @@ ERRORS = {
     "capture.foreign_cameras": (
         "{folder} holds cameras of {program} ({file}) that cannot be read",
         "Export them in another form, such as a COLMAP project, or press Find Cameras.",
+    ),
+    "capture.photos_of_other_kinds": (
+        "{folder} holds {photos} photos that cannot be read ({kinds})",
+        "Convert them to PNG, TIFF or JPEG of the best quality.",
     ),
     "capture.no_cameras": ("{folder} holds {photos} photos, but no cameras", "Press Find Cameras first."),
     "capture.video": ("{folder} holds a video ({video}), but no photos or too few", "Press Find Cameras first."),

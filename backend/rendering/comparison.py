@@ -19,6 +19,7 @@ from ..scene_io.srgb import linear_to_srgb
 from .contact_sheet import draw_sheet, empty_tile, in_cell, strip_tile_size
 from .exposure import exposure
 from .relight import RelitScene
+from .response_curve import seen_by_camera
 from .turntable import turntable_frames
 
 TILE_RANGE = (320, 448)  # smallest and largest number of pixels of a tile's longer side
@@ -37,10 +38,11 @@ def compare(
 ) -> tuple[np.ndarray, list[float]]:
     """Render `item` from the photos' cameras under the World `recovered` and under `worlds`.
 
-    Returns the sheet [H,W,3] uint8, and for each row the factor by which its photo was made brighter. `turntable` is the
-    number of views around the object. These views are rendered under the first of `worlds`, or under `recovered` where
-    `worlds` is empty. `samples` is the number of Cycles samples a pixel. progress(done, total) is called after every render.
-    Raises OSError where a photo cannot be read.
+    Beside the photos, under `recovered`, the renderings have the camera's response curve, if the frames tell one. Returns
+    the sheet [H,W,3] uint8, and for each row the factor by which its photo was made brighter. `turntable` is the number of
+    views around the object. These views are rendered under the first of `worlds`, or under `recovered` where `worlds` is
+    empty. `samples` is the number of Cycles samples a pixel. progress(done, total) is called after every render. Raises
+    OSError where a photo cannot be read.
     """
     sizes = [_tile_size(frame) for frame in frames]
     width, height = max(width for width, _ in sizes), max(height for _, height in sizes)
@@ -58,7 +60,9 @@ def compare(
     with RelitScene(item, width, height, samples, seed) as relit:
         for frame, size in zip(frames, sizes, strict=True):
             relit.set_size(*size)
-            photo, again = _photo(frame, *size), rendered(relit, frame, recovered) * np.array(frame.gain)
+            again = seen_by_camera(rendered(relit, frame, recovered), frame.response) * np.array(frame.gain)
+            again = seen_by_camera(again, frame.curve_of_files)
+            photo = _photo(frame, *size)
             gain = 1.0 if frame.color_space == "srgb" else exposure(again if photo is None else photo)
             others = [rendered(relit, frame, world) for world in worlds]
             tiles = [linear_to_srgb(again * gain), *(linear_to_srgb(tile * exposure(tile)) for tile in others)]

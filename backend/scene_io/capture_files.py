@@ -47,6 +47,10 @@ class Frame:
     mask: Path | None = None
     # How the object of a turntable had moved since the first photo [4,4]. The light of the asset stood still.
     object_to_room: np.ndarray | None = None
+    # Strength, white and scale of the camera's response curve, which the photo has and the asset has not
+    response: tuple[float, float, float] | None = None
+    # The same in the values of the photos' files, after `gain`
+    curve_of_files: tuple[float, float, float] | None = None
 
     def photo(self) -> np.ndarray:
         """The photo as linear radiance [H,W,3], over GRAY where the file is transparent.
@@ -80,7 +84,17 @@ def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError(f"{path} lists no frames")
     lookup = PhotoLookup(Path(folder))
-    return [_frame(lookup, meta, entry) for entry in entries]
+    placed = [entry for entry in entries if not _is_blank(entry.get("transform_matrix"))]
+    return [_frame(lookup, meta, entry) for entry in placed or entries]
+
+
+def _is_blank(rows: object) -> bool:
+    """Whether a matrix says that its photo has no pose: see blender_nep/capture/formats/transforms.py."""
+    try:
+        matrix = np.array(rows, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return rows is None
+    return rows is None or (matrix.size in (12, 16) and not (np.isfinite(matrix).all() and matrix.ravel()[:12].any()))
 
 
 def read_frames_of(capture: Path, asset: Path) -> list[Frame]:
@@ -152,25 +166,40 @@ def read_bounds(folder: Path) -> tuple[list[float], float] | None:
 
 
 def with_exposures(frames: list[Frame], asset: Path) -> list[Frame]:
-    """The frames from which `asset` was made, with the exposures that its report gives.
+    """The frames from which `asset` was made, with the exposures and the camera's response curve that its report gives.
 
     `frames` must be all frames of the capture, or those from which the asset was made, as its cameras.json has them. They
     come back unchanged where the report does not fit them.
     """
     try:
-        capture = read_json(Path(asset) / "report.json")["capture"]
+        report = read_json(Path(asset) / "report.json")
+        capture = report["capture"]
         left_out = set(capture.get("photos_left_out", ()))
         used = frames
         if len(frames) != capture["views"]:
             used = [frame for index, frame in enumerate(frames) if index not in left_out]
         if len(used) != capture["views"]:  # the asset was made from other photos
             return frames
-        if "photo_gains" not in capture:  # all photos have one exposure
-            return used
-        gains = [(float(red), float(green), float(blue)) for red, green, blue in capture["photo_gains"]]
-        return [replace(frame, gain=gain) for frame, gain in zip(used, gains, strict=True)]
+        curve = (float(capture["camera_curve"]), 1.0, 1.0) if "camera_curve" in capture else None
+        used = [replace(frame, response=_response(report), curve_of_files=curve) for frame in used]
+        of_object = report.get("stages", {}).get("material_learning", {}).get("object_gains", [1.0] * len(used))
+        gains = np.array(capture.get("photo_gains", np.ones((len(used), 3))), np.float64)
+        gains = gains.reshape(len(used), 3) * np.array(of_object, np.float64).reshape(len(used), 1)
+        return [replace(frame, gain=(r, g, b)) for frame, (r, g, b) in zip(used, gains.tolist(), strict=True)]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):  # another program wrote the asset
         return frames
+
+
+def _response(report: dict) -> tuple[float, float, float] | None:
+    """The response curve of an asset's report, in the brightness of the photos' files; None where there is none."""
+    try:
+        curve = report["stages"]["material_learning"]["response"]
+        strength, white, scale = (float(curve[name]) for name in ("strength", "white", "scale"))
+        brighter = float(report["capture"].get("exposure", 1.0))  # as the engine saw the photos
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return None
+    found = strength, white / brighter, scale / brighter
+    return found if np.isfinite(found).all() and strength >= 0 and min(found[1:]) > 0 else None
 
 
 def spread_frames(frames: list[Frame], count: int) -> list[Frame]:
@@ -188,7 +217,7 @@ def _read_meta(path: Path) -> dict:
     if not path.is_file():
         raise OSError(f"{path.parent} has no {path.name}" if path.parent.is_dir() else f"there is no folder {path.parent}")
     try:
-        meta = read_json(path, "utf-8-sig")  # some editors write a byte order mark
+        meta = read_json(path, None)
     except ValueError as error:
         raise ValueError(f"{path} is no JSON text: {error}") from error
     if not isinstance(meta, dict):
@@ -223,7 +252,7 @@ def _frame(lookup: PhotoLookup, meta: dict, entry: dict) -> Frame:
     given_y = entry.get("fl_y", meta.get("fl_y"))
     fl_x = float(value("fl_x", given_y if across is None and given_y else across or down))
     # As in the engine, OpenEXR is linear, whatever the capture says of its other photos.
-    space = "linear" if path.suffix.lower() == ".exr" else meta.get("color_space") or _color_space(path)
+    space = "linear" if path.suffix.lower() == ".exr" else str(meta.get("color_space") or _color_space(path)).lower()
     return Frame(
         path,
         width,

@@ -1,12 +1,15 @@
 """Run whole small jobs on hostile captures, which hypothesis chooses at random.
 
     python -m benchmarks.stress.campaign --cases 500 --seed 1 --out out/stress
+    python -m benchmarks.stress.campaign --cases 0 --files 500                            # damaged files alone
     python -m benchmarks.stress.campaign --case '{"shape": "ring", "pixels": "nan"}'      # run a single case
+    python -m benchmarks.stress.campaign --file '{"form": "nero", "change": "bits"}'      # a single damaged file
 
 Each case is a `Case` of scenes.py with up to four hostile fields. A case passes when the job ends with an asset that passes
-checks.py, or when it refuses the capture with one clear message and a documented exit code. The campaign writes a row for
-each case (cases/*.json) and a summary (summary.json). A campaign that was stopped goes on: a case whose row is there is not
-run again. The exit code is 1 where a case failed, otherwise 0.
+checks.py, or when it refuses the capture with one clear message and a documented exit code. Then as many captures are read
+of which one file is damaged (damaged_files.py). The campaign writes a row for each case (cases/*.json, files/*.json) and a
+summary (summary.json). A campaign that was stopped goes on: a case whose row is there is not run again. The exit code is 1
+where a case failed, otherwise 0.
 """
 
 from __future__ import annotations
@@ -21,8 +24,10 @@ import tempfile
 import time
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, fields, replace
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import torch
@@ -32,6 +37,7 @@ from hypothesis import strategies as st
 
 from benchmarks.row_files import write_row
 from benchmarks.stress.checks import check_asset, check_refusal, same_assets, strict_json
+from benchmarks.stress.damaged_files import DamagedFile, damaged_files, run_damaged
 from benchmarks.stress.scenes import Case, write_capture
 from blender_nep.job import runner as job
 from blender_nep.job.reporting.events import Events
@@ -190,17 +196,30 @@ def _resume(case: Case, capture: Path, folder: Path) -> tuple[list[str], bool]:
     return same_assets(folder / "asset", out), True
 
 
-def digest(case: Case) -> str:
+def digest(case: Case | DamagedFile) -> str:
     """A short name of the case, made from all its fields."""
     return hashlib.sha256(json.dumps(asdict(case), sort_keys=True).encode()).hexdigest()[:12]
 
 
-def campaign(count: int, seed: int, out: Path) -> dict:
-    """Run `count` different cases, or fewer where hypothesis finds no more. Returns the summary.
+def campaign(count: int, seed: int, out: Path, files: int = 0) -> dict:
+    """Run `count` different cases and read `files` damaged captures, or fewer where hypothesis finds no more.
 
-    A case that has a row in `out` is not run again.
+    Returns the summary. A case that has a row in `out` is not run again.
     """
+    rows = _run_all(cases(), run_case, count, seed, out / "cases")
+    damaged = _run_all(damaged_files(), run_damaged, files, seed, out / "files")
+    summary = summarize(rows) | {"seed": seed, "files": summarize_files(damaged)}
+    write_row(out / "summary.json", summary)
+    return summary
+
+
+def _run_all(
+    strategy: st.SearchStrategy, run: Callable[[Any, Path], dict], count: int, seed: int, out: Path
+) -> dict[str, dict]:
+    """{name: row} of `count` different cases, or of fewer where hypothesis finds no more."""
     rows: dict[str, dict] = {}
+    if not count:
+        return rows
 
     @hypothesis_seed(seed)
     @settings(
@@ -210,23 +229,35 @@ def campaign(count: int, seed: int, out: Path) -> dict:
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
-    @given(cases())
-    def each(case: Case) -> None:
+    @given(strategy)
+    def each(case: Any) -> None:
         name = digest(case)
         if name in rows or len(rows) >= count:
             return
-        file = out / "cases" / f"{name}.json"
+        file = out / f"{name}.json"
         if not file.is_file():
             with tempfile.TemporaryDirectory() as folder:
-                write_row(file, {"case": asdict(case), **run_case(case, Path(folder))})
+                write_row(file, {"case": asdict(case), **run(case, Path(folder))})
         rows[name] = json.loads(file.read_text())
         if rows[name]["failures"]:
             print(name, rows[name]["failures"][0][:200], file=sys.stderr, flush=True)
 
     each()
-    summary = summarize(rows) | {"seed": seed}
-    write_row(out / "summary.json", summary)
-    return summary
+    return rows
+
+
+def summarize_files(rows: dict[str, dict]) -> dict:
+    """The counts of the damaged files: exit codes, refusals, and how much time and memory the largest case took."""
+    return {
+        "cases": len(rows),
+        "failed": [name for name, row in rows.items() if row["failures"]],
+        "failures_by_kind": dict(Counter(f.split(":")[0] for row in rows.values() for f in row["failures"])),
+        "exit_codes": dict(Counter(str(row["code"]) for row in rows.values())),
+        "read_with_warnings": sum(row["code"] == 0 and bool(row["warnings"]) for row in rows.values()),
+        "targets": dict(Counter(row["case"]["target"] for row in rows.values())),
+        "most_seconds": max((row["seconds"] for row in rows.values()), default=0.0),
+        "most_megabytes": max((row["megabytes"] for row in rows.values()), default=0),
+    }
 
 
 def summarize(rows: dict[str, dict]) -> dict:
@@ -260,18 +291,24 @@ def _kind_of(message: str) -> str:
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.stress.campaign", description=__doc__.split("\n")[0])
     parser.add_argument("--cases", type=int, default=500)
+    parser.add_argument("--files", type=int, help="so many captures with a damaged file; default: as many as --cases")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/stress"))
     parser.add_argument("--case", type=json.loads, help="run one case, given as JSON of the fields that it changes")
+    parser.add_argument("--file", type=json.loads, help="run one damaged file, given as JSON of the fields that it changes")
     options = parser.parse_args(arguments)
-    if options.case is not None:
+    if options.case is not None or options.file is not None:
         with tempfile.TemporaryDirectory() as folder:
-            row = run_case(replace(Case(), **options.case), Path(folder))
+            if options.case is not None:
+                row = run_case(replace(Case(), **options.case), Path(folder))
+            else:
+                row = run_damaged(replace(DamagedFile(), **options.file), Path(folder))
         print(json.dumps(row, indent=1))
         return 1 if row["failures"] else 0
-    summary = campaign(options.cases, options.seed, options.out)
+    files = options.cases if options.files is None else options.files
+    summary = campaign(options.cases, options.seed, options.out, files)
     print(json.dumps(summary, indent=1))
-    return 1 if summary["failed"] else 0
+    return 1 if summary["failed"] or summary["files"]["failed"] else 0
 
 
 if __name__ == "__main__":

@@ -13,8 +13,9 @@ from blender_nep.cameras.video.kept_frames import frames_folder
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.description import check_number
 from blender_nep.capture.formats.mask_search import find_masks, masks_beside
+from blender_nep.capture.formats.photo_search import without_second_files
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.photos.mask_files import MaskRaster, MaskReading
+from blender_nep.capture.photos.mask_files import MaskRaster, MaskReading, same_aspect
 from blender_nep.capture.photos.photo_files import (
     QUARTER_TURNS,
     SUFFIXES,
@@ -24,7 +25,14 @@ from blender_nep.capture.photos.photo_files import (
     image_size,
     open_image,
 )
-from blender_nep.capture.without_cameras import find_cameras, only_videos, photos_below, videos_in
+from blender_nep.capture.without_cameras import (
+    find_cameras,
+    only_videos,
+    photos_below,
+    unreadable_kinds,
+    unreadable_photos,
+    videos_in,
+)
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
 from blender_nep.safety.pictures import DAMAGED, open_picture
@@ -74,8 +82,8 @@ def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
     If frames of a video were taken again, those count that transforms.json names (`frames_folder`).
 
     A file that is no photo is passed over if its ending is none of a photo. Raises CaptureError if the folder is missing, if
-    a photo cannot be read, or if there are too few photos. A mask that cannot be read, or has not its photo's size, is left
-    out; where masks are wanted (`masked`), it raises CaptureError, too.
+    a photo cannot be read, or if there are too few photos. A mask that cannot be read, or has another aspect than its photo,
+    is left out; where masks are wanted (`masked`), it raises CaptureError, too.
     """
     if not folder.is_dir():
         raise CaptureError(f"there is no folder {folder}", "Check the path of the folder with photos.", "capture.no_folder")
@@ -101,6 +109,8 @@ def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
         )
     if len(paths) < MINIMUM_VIEWS and (videos := videos_in(folder)):
         raise only_videos(folder, videos, "no photos or too few")
+    if len(paths) < MINIMUM_VIEWS and (kinds := unreadable_kinds(folder)):
+        raise unreadable_photos(folder, kinds, f"has {len(paths) or 'no'} others")
     if len(paths) < MINIMUM_VIEWS:
         allowed = ", ".join(suffix[1:] for suffix in SUFFIXES)
         raise CaptureError(
@@ -124,33 +134,20 @@ def photos_of(capture: Capture) -> list[Photo]:
 
 
 def _photo_files(folder: Path) -> list[Path]:
-    """The photos in a folder, sorted by name.
-
-    A photo is often there twice: a camera writes a JPEG beside a raw file, and people export TIFF or JPEG files into the
-    folder. Masks beside their photos do not count. Of files with one stem, EXR, PNG and JPEG files count, or else the file
-    whose ending comes first in `SUFFIXES`.
-    """
+    """The photos in a folder, sorted by name. Masks beside their photos and second files of a photo do not count."""
     named = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
     present = {path for path in named if path.is_file()}
-    files = sorted(present - masks_beside(present))
-    best: dict[str, int] = {}
-    for path in files:
-        best[path.stem] = min(_rank(path), best.get(path.stem, len(SUFFIXES)))
-    return [path for path in files if _rank(path) == best[path.stem]]
-
-
-def _rank(path: Path) -> int:
-    return max(SUFFIXES.index(path.suffix.lower()), SUFFIXES.index(".jpeg"))
+    return sorted(without_second_files(present - masks_beside(present)))
 
 
 def _photo(path: Path, mask: Path | None, masked: bool) -> Photo:
     width, height = _size(path)
-    if mask is not None and not masked and not _has_size(mask, (width, height)):
+    if mask is not None and not masked and not _fits(mask, (width, height)):
         mask = None
-    if mask is not None and (size := _size(mask)) != (width, height):
+    if mask is not None and not same_aspect(size := _size(mask), (width, height)):
         raise CaptureError(
             f"the mask {mask.name} is {size[0]} x {size[1]} pixels, but {path.name} is {width} x {height}",
-            "A mask needs the size of its photo, as the file stores it: EXIF's orientation is not applied.",
+            "A mask needs the aspect of its photo, as the file stores it: EXIF's orientation is not applied.",
             "capture.mask_size",
             mask=mask.name,
             photo=path.name,
@@ -166,9 +163,9 @@ def _photo(path: Path, mask: Path | None, masked: bool) -> Photo:
     return Photo(path, width, height, _focal_length(tags, width, height), words, turns, mask, has_exif=bool(tags))
 
 
-def _has_size(mask: Path, size: tuple[int, int]) -> bool:
+def _fits(mask: Path, size: tuple[int, int]) -> bool:
     try:
-        return image_size(mask) == size
+        return same_aspect(image_size(mask), size)
     except CaptureError:
         return False
 
@@ -245,7 +242,7 @@ def mask_copy(photo: Photo, reduction: Reduction) -> np.ndarray | None:
     if photo.mask is None:
         return None
     try:
-        mask = MaskRaster.of(photo.mask, photo.mask_reading)
+        mask = MaskRaster.of(photo.mask, photo.mask_reading).fitted(photo.height, photo.width)
         starts = range(0, mask.size[0], _STRIP)
         gray = np.concatenate([to_bytes(mask.rows(start, start + _STRIP)) for start in starts])
     except (CaptureError, *DAMAGED) as error:

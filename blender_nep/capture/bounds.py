@@ -14,6 +14,11 @@ _HINT = (
     "(object_center and object_radius in transforms.json, or --object-center and --object-radius)."
 )
 
+_STRAY = 0.1
+"""A camera stands where the object is, if it is nearer to it than this, relative to the median of all."""
+_MOST_STRAYS = 0.1
+"""If more of the cameras stand there, the place is wrong."""
+
 
 def sphere_from_cameras(cameras: list[Camera]) -> tuple[np.ndarray, float]:
     """Center [3] nearest to all optical axes, and radius of the largest sphere that a tenth of the cameras see whole.
@@ -36,6 +41,17 @@ def sphere_from_cameras(cameras: list[Camera]) -> tuple[np.ndarray, float]:
     return center, float(min(radius, 0.7 * np.linalg.norm(position - center, axis=1).min()))
 
 
+def stray_cameras(cameras: list[Camera]) -> list[int]:
+    """The cameras that stand at the place at which the others look, if they are few; else none."""
+    position = np.stack([c.position for c in cameras])
+    center = common_place(position, np.stack([c.optical_axis for c in cameras]))
+    if center is None:
+        return []
+    distance = np.linalg.norm(position - center, axis=1)
+    strays = np.flatnonzero(distance < _STRAY * np.median(distance))
+    return strays.tolist() if len(strays) <= max(1, _MOST_STRAYS * len(cameras)) else []
+
+
 def sphere_from_masks(
     cameras: list[Camera], masks: list[np.ndarray], center: np.ndarray, radius: float, resolution: int = 48
 ) -> tuple[np.ndarray, float] | None:
@@ -46,6 +62,18 @@ def sphere_from_masks(
     the mask covers it. It is not 100 %, because masks may have errors. Masks that show nothing do not count. `masks` [h, w]
     are in 0..1, of any resolution.
     """
+    hull = hull_of_masks(cameras, masks, center, radius, resolution)
+    if hull is None:
+        return None
+    kept, voxel = hull
+    middle = (kept.min(0) + kept.max(0)) / 2
+    return middle, float(1.05 * np.linalg.norm(kept - middle, axis=1).max() + np.linalg.norm(voxel) / 2)
+
+
+def hull_of_masks(
+    cameras: list[Camera], masks: list[np.ndarray], center: np.ndarray, radius: float, resolution: int = 48
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The middles [n, 3] of the voxels of a coarse visual hull, and the sides [3] of a voxel: see `sphere_from_masks`."""
     low, high = center - 1.5 * radius, center + 1.5 * radius
     for _ in range(2):
         axes = [np.linspace(low[i], high[i], resolution) for i in range(3)]
@@ -56,8 +84,7 @@ def sphere_from_masks(
         voxel = (high - low) / (resolution - 1)
         kept = points[inside]
         low, high = kept.min(0) - 2 * voxel, kept.max(0) + 2 * voxel
-    middle = (kept.min(0) + kept.max(0)) / 2
-    return middle, float(1.05 * np.linalg.norm(kept - middle, axis=1).max() + np.linalg.norm(voxel) / 2)
+    return kept, voxel
 
 
 def carve(cameras: list[Camera], masks: list[np.ndarray], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -49,7 +49,9 @@ class Capture:
     turntable: bool | None = None
     """Whether the object turned on a turntable, as the files say. None: they do not say"""
     mask_reading: MaskReading = field(default_factory=MaskReading)
-    """What the mask files mean. Photos' alpha always means the object."""
+    """What the mask files mean"""
+    ignores_alpha: bool = False
+    """The photos' alpha does not cut out the object, and they count as whole ones. Else alpha means the object."""
 
     @property
     def to_unit(self) -> np.ndarray:
@@ -72,7 +74,7 @@ class Capture:
         view = self.views[i]
         raster = open_image(view.image_path, self.color_space)
         self._check_size(view, view.image_path, raster.size)
-        return raster
+        return raster.without_alpha() if self.ignores_alpha else raster
 
     def open_mask(self, i: int) -> MaskRaster | None:
         """The object's mask of view `i` from its file, or None where no file shows the object. Raises CaptureError."""
@@ -87,7 +89,7 @@ class Capture:
         view = self.views[i]
         if view.mask_path is None:
             return None
-        mask = MaskRaster.of(view.mask_path, self.mask_reading)
+        mask = MaskRaster.of(view.mask_path, self.mask_reading).fitted(view.camera.height, view.camera.width)
         self._check_size(view, view.mask_path, mask.size)
         return mask
 
@@ -114,5 +116,5 @@ class Capture:
         if size != (view.camera.height, view.camera.width):
             raise CaptureError(
                 f"{path.name} is {size[1]} x {size[0]} pixels, but its photo is {view.camera.width} x {view.camera.height}",
-                "A photo and its mask need the same size.",
+                "A photo and its mask need the same aspect.",
             )

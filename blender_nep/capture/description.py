@@ -12,6 +12,8 @@ from blender_nep.messages import Message
 
 MINIMUM_VIEWS = 3
 """With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict each other."""
+MOST_LACKING = 0.2
+"""If at most this share of the photos has no mask, these photos are left out. Else no masks are used."""
 MOST_VIEWS = 20_000
 """Photos of a capture. Files that list more are refused, because each photo is looked for on the disk."""
 
@@ -40,3 +42,5 @@ class CaptureDescription:
     warnings: list[Message] = field(default_factory=list)
     turntable: bool | None = None
     """Whether the object turned on a turntable; None: not said"""
+    missing_masks: list[str] = field(default_factory=list)
+    """Masks that the file names and that are not there"""

@@ -70,6 +70,15 @@ _TABLE: tuple[tuple[str, str, Callable[[bytes], bool], str], ...] = (
     ("*.log", "Tanks and Temples", _is_trajectory, "It says no focal lengths: use a COLMAP project of the photos."),
     ("*.r3d", "Record3D", _always, "An .r3d file is a zip file: unpack it into this folder."),
     ("odometry.csv", "Stray Scanner", _always, "Make a transforms.json of camera_matrix.csv and odometry.csv."),
+    (
+        "mesh_info.json",
+        "Polycam",
+        _always,
+        "In Polycam, export Raw Data, with the folders keyframes/images and keyframes/cameras.",
+    ),
+    ("sparse/*/images.*", "COLMAP", _always, "The files cameras and images belong together: copy both, .bin or .txt."),
+    ("sparse/images.*", "COLMAP", _always, "The files cameras and images belong together: copy both, .bin or .txt."),
+    ("*.r3d.zip", "Record3D", _always, "Unpack it into this folder."),
     ("frame_*.json", "3D Scanner App", _holds(b'"cameraPoseARFrame"'), "Make a transforms.json of these files."),
 )
 """(pattern of the file's place, program, what the file's begin must hold, what to do)"""

@@ -7,20 +7,21 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
-from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere_from_masks
+from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere_from_masks, stray_cameras
 from blender_nep.capture.brackets import bracket_warnings
 from blender_nep.capture.cameras.plausible_lens import lens_warnings
 from blender_nep.capture.capture import Capture, View
-from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription
+from blender_nep.capture.description import MINIMUM_VIEWS, MOST_LACKING, CaptureDescription
 from blender_nep.capture.formats import bundler, cameras_sphere, colmap, llff, metashape, nerf_synthetic, transforms
 from blender_nep.capture.formats.peers import PEERS
-from blender_nep.capture.mask_meaning import read_masks
+from blender_nep.capture.mask_meaning import read_alpha, read_masks
 from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.photos.photo_files import is_linear
-from blender_nep.capture.without_cameras import is_video, no_capture, video_hint
+from blender_nep.capture.without_cameras import ARCHIVES, capture_around, is_video, no_capture, video_hint
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
@@ -58,16 +59,24 @@ def load_capture(
     color_space = _color_space(said, warnings)
     capture = Capture(folder, said.views, color_space, np.zeros(3), 1.0, "", warnings, said.files, said.turntable)
     if sphere is None:
+        _leave_strays_out(capture, said)
         _set_bounds(capture, said)
     else:
         capture.object_center, capture.object_radius = np.array(sphere[0], np.float64), float(sphere[1])
         capture.bounds_source = "options"
+    if use_masks and said.missing_masks:
+        first, more = said.missing_masks[0], len(said.missing_masks) - 1
+        raise CaptureError(
+            f"mask {first} is missing" + (f", and {more} more" if more else ""),
+            "Put it back, or take mask_path out of its frame. --masks ignore leaves masks out.",
+        )
     if use_masks:
-        warnings += read_masks(capture, mask_meaning)
+        warnings += read_alpha(capture) if mask_meaning is None else []
+        warnings += [] if capture.ignores_alpha else read_masks(capture, mask_meaning)
         if capture.bounds_source == "cameras":
             _shrink_to_masks(capture)
-    cameras = [v.camera for v in said.views]
-    warnings += check_sphere([v.name for v in said.views], cameras, capture.object_center, capture.object_radius)
+    cameras = [v.camera for v in capture.views]
+    warnings += check_sphere([v.name for v in capture.views], cameras, capture.object_center, capture.object_radius)
     return capture
 
 
@@ -87,7 +96,12 @@ def describe(folder: Path, file: str = transforms.FILE) -> CaptureDescription:
         if is_video(folder):
             message, values = f"{folder} is a video, and not a capture", {"folder": folder.parent, "video": folder.name}
             raise CaptureError(message, video_hint([folder]), "capture.video", **values)
-        raise CaptureError(f"{folder} is not a folder", "A capture is a folder with photos and their cameras.")
+        hint = "A capture is a folder with photos and their cameras."
+        if recognized(folder.absolute().parent):
+            hint += f" Name the folder: {folder.absolute().parent}"
+        elif folder.name.lower().endswith(ARCHIVES):
+            hint += " Unpack it first."
+        raise CaptureError(f"{folder} is not a folder", hint)
     if not os.access(folder, os.R_OK | os.X_OK):
         reason = os.strerror(errno.EACCES)
         raise CaptureError(
@@ -98,12 +112,29 @@ def describe(folder: Path, file: str = transforms.FILE) -> CaptureDescription:
             reason=reason,
         )
     if transforms.recognizes(folder, file):
-        return transforms.read(folder, file)
+        try:
+            return transforms.read(folder, file)
+        except CaptureError as error:
+            if file == transforms.FILE and any(other.recognizes(folder) for other in _OTHER_FORMATS):
+                error.hint += f" Or take {file} out of the folder: it also holds cameras of another form, which count then."
+            raise
     if file == transforms.FILE:
         for other in _OTHER_FORMATS:
             if other.recognizes(folder):
-                return other.read(folder)
+                return _read(other, folder)
     raise no_capture(folder, file, recognized)
+
+
+def _read(form: ModuleType, folder: Path) -> CaptureDescription:
+    """What the format says of the folder. Raises CaptureError."""
+    try:
+        said: CaptureDescription = form.read(folder)
+    except CaptureError as error:
+        around = capture_around(folder, recognized)
+        if around is not None and error.name == "capture.photos_not_there":
+            error.hint = f"Name the whole capture: {around}"
+        raise
+    return said
 
 
 def _check_places(views: list[View], warnings: list[Message]) -> None:
@@ -132,15 +163,34 @@ def _check_places(views: list[View], warnings: list[Message]) -> None:
 def _color_space(said: CaptureDescription, warnings: list[Message]) -> str:
     """'linear' if the capture says so, or if the formats of all its photos do; else 'srgb'. Raises CaptureError."""
     declared = "srgb" if said.color_space is None else said.color_space
+    declared = declared.lower() if isinstance(declared, str) else declared
     if declared not in ("linear", "srgb"):
         raise CaptureError(f"color_space {declared!r} is not known", "Use 'linear' or 'srgb'.")
     if declared == "linear" or all(is_linear(v.image_path) for v in said.views):
         space = "linear"
     else:
         space = "srgb"
-    if said.color_space == "srgb" and any(v.image_path.suffix.lower() == ".exr" for v in said.views):
+    if (
+        said.color_space is not None
+        and declared == "srgb"
+        and any(v.image_path.suffix.lower() == ".exr" for v in said.views)
+    ):
         warnings.append(Message("capture.exr_is_linear"))
     return space
+
+
+def _leave_strays_out(capture: Capture, said: CaptureDescription) -> None:
+    """Leave out photos whose cameras stand where the others look, if they are few and the files say no sphere.
+
+    Programs write an identity matrix for a photo whose place they have not found.
+    """
+    if said.object_center is not None and said.object_radius is not None:
+        return
+    strays = stray_cameras([view.camera for view in capture.views])
+    if strays and len(capture.views) - len(strays) >= MINIMUM_VIEWS:
+        names = [capture.views[i].name for i in strays]
+        capture.views = [view for i, view in enumerate(capture.views) if i not in strays]
+        capture.warnings.append(Message("capture.cameras_in_object", {"count": len(names), "names": names}))
 
 
 def _set_bounds(capture: Capture, said: CaptureDescription) -> None:
@@ -164,22 +214,25 @@ def _set_bounds(capture: Capture, said: CaptureDescription) -> None:
 
 
 def _shrink_to_masks(capture: Capture) -> None:
-    """The object's sphere as the masks show it, where every photo has one and they agree."""
-    cameras = [v.camera for v in capture.views]
-    wanted = range(len(cameras)) if _may_have_masks(capture) else range(0)
-    masks = [mask for i in wanted if (mask := _coarse_mask(capture, i)) is not None]
-    if len(masks) == len(cameras):
+    """The object's sphere as the masks show it, where nearly every photo has one and they agree."""
+    wanted = range(len(capture.views)) if _may_have_masks(capture) else range(0)
+    found = {i: mask for i in wanted if (mask := _coarse_mask(capture, i)) is not None}
+    showing = {i: mask for i, mask in found.items() if not (mask > 0.5).all()}  # a white mask is one that failed
+    if 2 * len(showing) < len(found):
+        showing = found
+    cameras, masks = [capture.views[i].camera for i in showing], list(showing.values())
+    if len(found) >= max(MINIMUM_VIEWS, (1 - MOST_LACKING) * len(capture.views)):
         sphere = sphere_from_masks(cameras, masks, capture.object_center, capture.object_radius)
         if sphere is None:
             capture.warnings.append(Message("capture.masks_disagree"))
             return
-        nearest = min(float(np.linalg.norm(c.position - sphere[0])) for c in cameras)
+        nearest = min(float(np.linalg.norm(view.camera.position - sphere[0])) for view in capture.views)
         capture.object_center, capture.object_radius = sphere[0], min(sphere[1], 0.9 * nearest)
         capture.bounds_source = "masks"
 
 
 def _may_have_masks(capture: Capture) -> bool:
-    return all(v.mask_path for v in capture.views) or _coarse_mask(capture, 0) is not None
+    return any(v.mask_path for v in capture.views) or _coarse_mask(capture, 0) is not None
 
 
 def _coarse_mask(capture: Capture, i: int) -> np.ndarray | None:

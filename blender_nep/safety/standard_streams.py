@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+from collections.abc import Iterator
 
 
 def open_closed_streams() -> None:
@@ -21,6 +23,20 @@ def open_closed_streams() -> None:
                 os.dup2(empty, descriptor)
                 os.close(empty)
             setattr(sys, name, open(descriptor, mode, encoding="utf-8", errors="backslashreplace", closefd=False))
+
+
+@contextlib.contextmanager
+def prints_go_to_errors() -> Iterator[None]:
+    """Send what libraries print on standard output to standard errors meanwhile, where it cannot spoil a result."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)  # C and C++ libraries write to the descriptor
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def tell(*lines: str) -> OSError | None:

@@ -135,11 +135,11 @@ CASES = [
     few("the folder is a symbolic link", photos.symbolic_link),
     # masks
     refused(
-        "a mask has half its photo's size",
-        photos.small_masks,
+        "a mask is upright, and its photo is not",
+        photos.upright_mask,
         3,
         "capture.mask_size",
-        "photo_03.png is 160 x 120",
+        "photo_03.png is 240 x 320",
         **ON_OBJECT,
     ),
     refused("a mask is missing", photos.one_mask_missing, 2, "usage.no_masks", "photo_03.jpg has none", **ON_OBJECT),

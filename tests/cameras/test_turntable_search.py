@@ -213,7 +213,7 @@ def test_improved_cameras_keep_what_the_file_tells(turned, tmp_path, monkeypatch
     code, _, _ = searched(tmp_path / "given", tmp_path / "out", improve=True)
     assert code == 0 and told(tmp_path / "out") is turntable
     frames = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"]
-    expected = [(None, None) if turntable is False else (number % 2, 15.0 * number) for number in range(COUNT)]
+    expected = [(number % 2, 15.0 * number) for number in range(COUNT)]
     assert [(frame.get("row"), frame.get("turn")) for frame in frames] == expected
     assert (asked["moving"] is None) == (turntable is not True)
 

@@ -340,7 +340,7 @@ BAD = [
     (write_cameras_sphere, changed_arrays(times("scale_mat_0", np.diag([1, 2, 1, 1]))), "scale_mat_0 does not take"),
     (write_metashape, torn, "cameras.xml cannot be read"),
     (write_metashape, two_photos, "2 of 4 photos of cameras.xml are missing, the first: c"),
-    (write_metashape, pose_text(lambda words: ["nan", *words[1:]]), "cameras.xml: b 2.png: transform is not 16 numbers"),
+    (write_metashape, pose_text(lambda words: ["none", *words[1:]]), "cameras.xml: b 2.png: transform is not 16 numbers"),
     (write_metashape, pose_text(lambda words: words[:12]), "cameras.xml: b 2.png: transform is not 16 numbers"),
     (
         write_metashape,

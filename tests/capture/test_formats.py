@@ -202,6 +202,8 @@ def with_first_camera(folder, ending, number, model, terms):
         (sparse / "images.txt").write_text("\n".join(poses[:2]) + "\n")
         (sparse / "cameras.txt").write_text(" ".join(map(str, (camera, model, 32, 24, *terms))) + "\n")
         return made
+    for text in (sparse / "images.txt", sparse / "cameras.txt"):  # it would have more photos
+        text.unlink()
     head = struct.pack("<QiiQQ", 1, camera, number, 32, 24)
     (sparse / "cameras.bin").write_bytes(head + struct.pack(f"<{len(terms)}d", *terms))
     pose = struct.pack("<Qi7di", 1, 1, *numbers, camera)

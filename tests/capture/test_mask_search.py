@@ -19,8 +19,9 @@ from support.captures import TinyCapture
 SIZE = 24
 
 
-def ball(size: int = SIZE) -> Image.Image:
-    row, column = np.mgrid[:size, :size] + 0.5
+def ball(size: int = SIZE, width: int = 0) -> Image.Image:
+    """`width`: of a mask that is no square; else `size`"""
+    row, column = np.mgrid[:size, : width or size] + 0.5
     return Image.fromarray(np.uint8(255) * (np.hypot(row - size / 2, column - size / 2) < size / 4))
 
 
@@ -82,9 +83,9 @@ def test_named_masks_win_and_are_no_news(tiny):
     assert {view.mask_path.parent.name for view in capture.views} == {"drawn"} and not codes(capture)
 
 
-def test_masks_of_another_size_are_told_and_not_used(tiny):
+def test_masks_of_another_aspect_are_told_and_not_used(tiny):
     put(tiny, "masks/{:03d}.png")
-    put(tiny, "masks/{:03d}.png", size=SIZE // 2, numbers=range(2, 3))
+    ball(SIZE, width=SIZE // 2).save(tiny.folder / "masks/002.png")
     capture = load_capture(tiny.folder)
     assert [view.mask_path is None for view in capture.views] == [False, False, True, False]
     assert codes(capture) == ["capture.masks_found", "capture.masks_other_size"]
@@ -170,7 +171,8 @@ def test_a_mask_of_a_moved_capture_is_found(tiny):
 
 
 def test_masks_that_are_not_wanted_stop_no_search_for_cameras(tiny):
-    put(tiny, "masks/{:03d}.png", size=SIZE // 2, numbers=range(1))
+    (tiny.folder / "masks").mkdir()
+    ball(SIZE, width=SIZE // 2).save(tiny.folder / "masks/000.png")
     (tiny.folder / "masks/001.png").write_bytes(b"no mask")
     put(tiny, "masks/{:03d}.png", numbers=range(2, 4))
     masks = [photo.mask for photo in find_photos(tiny.folder)]

@@ -85,7 +85,7 @@ def other_aspect(tiny):
 
 
 def other_mask_size(tiny):
-    Image.fromarray(np.zeros((12, 12), np.uint8)).save(tiny.folder / "masks/001.png")
+    Image.fromarray(np.zeros((12, 20), np.uint8)).save(tiny.folder / "masks/001.png")
 
 
 def empty_masks(tiny):
@@ -118,7 +118,8 @@ def mirrored_matrix(tiny):
 
 
 def nan_matrix(tiny):
-    tiny.meta["frames"][2]["transform_matrix"][0][3] = float("nan")
+    for frame in tiny.meta["frames"][2:]:
+        frame["transform_matrix"][0][3] = float("nan")
     tiny.save()
 
 
@@ -183,7 +184,7 @@ CASES = [
     (text_as_photo, 3, "003.exr cannot be read as an image"),
     (other_format, 3, "photos can be read"),
     (other_aspect, 3, "is 24 x 24 pixels, but transforms.json says 40 x 24"),
-    (other_mask_size, 3, "001.png is 12 x 12 pixels, but its photo is 24 x 24"),
+    (other_mask_size, 3, "001.png is 20 x 12 pixels, but its photo is 24 x 24"),
     (empty_masks, 3, "masks are empty"),
     (no_focal_length, 3, "no focal length"),
     (text_focal_length, 3, "fl_x is not a number"),

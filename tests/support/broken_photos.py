@@ -390,9 +390,9 @@ def symbolic_link(shoot: Shoot) -> None:
 # masks
 
 
-def small_masks(shoot: Shoot) -> None:
+def upright_mask(shoot: Shoot) -> None:
     for number in range(COUNT):
-        shoot.mask(number, (WIDTH // 2, HEIGHT // 2) if number == 3 else (WIDTH, HEIGHT))
+        shoot.mask(number, (HEIGHT, WIDTH) if number == 3 else (WIDTH, HEIGHT))
 
 
 def one_mask_missing(shoot: Shoot) -> None:

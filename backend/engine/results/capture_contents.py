@@ -27,11 +27,14 @@ VIDEO_ENDINGS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts
 TRANSFORMS = "transforms.json"
 _IMAGES = "images"
 _FILES = (TRANSFORMS, "transforms_train.json", "poses_bounds.npy", "cameras_sphere.npz", "cameras.npz")
-_MASK_BESIDE = re.compile(r"(.+)[._-]masks?", re.IGNORECASE)
+_MASK_WORDS = r"(?:masks?|alphas?|mattes?|silhouettes?|segmentations?|seg)"
+_MASK_BESIDE = re.compile(rf"(.+)[._-]{_MASK_WORDS}", re.IGNORECASE)
 """The stem of a mask beside its photo, as blender_nep/capture/formats/mask_search.py has it"""
-_MASK_FOLDER = re.compile(r"(?:(.+)[ ._-])?masks?(?:[ ._-](.+))?", re.IGNORECASE)
+_MASK_FOLDER = re.compile(rf"(?:(.+)[ ._-])?{_MASK_WORDS}(?:[ ._-](.+))?", re.IGNORECASE)
 _OTHER_PHOTOS = {"test", "val", "validation", "eval"}
 """Folders of masks with such a word are of other photos."""
+_MOST_FOLDERS = 200
+"""Folders in a folder of masks that are looked into: the panel must not wait."""
 _COLMAP_PLACES = (
     *("sparse", "colmap/sparse", "", "dense/sparse", "undistorted/sparse", "distorted/sparse"),
     *("colmap_sparse", "colmap_text"),
@@ -101,9 +104,9 @@ def _count(folder: Path) -> int:
     images = _images_in(folder)
     masks = _masks_beside(images)
     names = [os.path.splitext(name) for name in images if name not in masks]
-    plain = [stem for stem, ending in names if ending.lower() in PLAIN_ENDINGS]
+    plain = {(stem, ending.lower()) for stem, ending in names if ending.lower() in PLAIN_ENDINGS}
     others = {stem for stem, ending in names if ending.lower() not in PLAIN_ENDINGS}
-    return len(plain) + len(others.difference(plain))
+    return len(plain) + len(others.difference(stem for stem, _ in plain))
 
 
 def _images_in(folder: Path) -> list[str]:
@@ -142,7 +145,19 @@ def has_masks(folder: Path) -> bool:
     except OSError:
         return False
     beside = any(_masks_beside(_images_in(place)) for place in (folder, folder / "images"))
-    return beside or any(map(_images_in, places))
+    return beside or any(map(_holds_images, places))
+
+
+def _holds_images(folder: Path) -> bool:
+    """Whether there is an image in the folder or in a folder in it."""
+    looked = 0
+    for root, _, _ in os.walk(folder):
+        looked += 1
+        if _images_in(Path(root)):
+            return True
+        if looked >= _MOST_FOLDERS:
+            break
+    return False
 
 
 def _is_mask_folder(name: str) -> bool:

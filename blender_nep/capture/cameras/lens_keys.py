@@ -23,6 +23,8 @@ _OTHER_TERMS = ("k5", "k6", "sx1", "sy1", "s1", "s2", "s3", "s4", "omega", "p3",
 _OTHER_PROJECTIONS = ("equirectangular", "latlong", "ftheta_p0", "is_orthographic")
 _CUT = "Cut the panoramas into ordinary photos, and find the cameras of these."
 _UNDISTORT = "Use PINHOLE, OPENCV or OPENCV_FISHEYE, or undistort the photos."
+_MOST_SHARE = 20.0
+"""Focal lengths of less than this are parts of the photo's width where the principal point is, too."""
 _SAME_ANGLE = 0.05
 """Focal lengths by two angles that differ by more than this contradict each other."""
 
@@ -65,6 +67,11 @@ class LensKeys:
             width, height = width or found[0], height or found[1]
         fl_x, fl_y = self._focal_lengths(width, height, odd_angles)
         cx, cy = self.number("cx"), self.number("cy")
+        if cx is not None and cy is not None and 0 < max(cx, cy) <= 1 and 0 < max(fl_x, fl_y) < _MOST_SHARE:
+            raise CaptureError(
+                f"{self.name}: focal length and principal point are parts of the size, not pixels",
+                "Multiply fl_x and cx by the width, fl_y and cy by the height.",
+            )
         if min(fl_x, fl_y) <= 0 or min(round(width), round(height)) < 1:
             raise CaptureError(f"{self.name}: focal length and size must be positive")
         return {
@@ -102,7 +109,8 @@ class LensKeys:
             if angle is None:
                 continue
             if not 0 < angle < straight:
-                raise CaptureError(f"{self.name}: {key} {angle:.4g} is not an angle between 0 and {most}")
+                hint = f"It is in radians; {axis}_fov is in degrees." if "camera" in key else ""
+                raise CaptureError(f"{self.name}: {key} {angle:.4g} is not an angle between 0 and {most}", hint)
             return 0.5 * side / math.tan(0.5 * math.pi * angle / straight)
         return None
 

@@ -26,7 +26,7 @@ from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.capture.turntable.motions import in_unit_frame
-from blender_nep.messages import Message
+from blender_nep.messages import Message, shortened
 from blender_nep.safety.printed_text import one_line
 
 MOST_CLIPPED = 0.02
@@ -77,6 +77,7 @@ def summarize(
     found: dict[str, Any] = {
         "folder": str(folder),
         "photos": len(capture.views),
+        "camera_files": [path.name for path in capture.files],
         "sizes": dict(sizes),
         "formats": dict(Counter(v.image_path.suffix.lower()[1:] for v in capture.views)),
         "color_space": capture.color_space,
@@ -189,7 +190,8 @@ def describe(found: dict) -> str:
     if found["corner_stops"]:
         exposure += f", corners {-found['corner_stops']} stops darker"
     lines = [
-        f"{found['folder']}: {found['photos']} photos ({_counts(found['formats'])}), {_counts(found['sizes'])} pixels",
+        f"{found['folder']}: {found['photos']} photos ({_counts(found['formats'])}), {_counts(found['sizes'])} pixels, "
+        f"cameras of {shortened(found['camera_files'], 2)}",
         f"  color          {found['color_space']}; median {found['radiance']['median']}, 99.9 % below "
         f"{found['radiance']['99_9_percent']}, largest {found['radiance']['largest']}",
         f"  exposure       {exposure}; {found['clipped']:.1%} of the pixels around the object are clipped",

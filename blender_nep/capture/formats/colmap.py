@@ -21,10 +21,11 @@ import numpy as np
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription, check_number
+from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription, check_number
 from blender_nep.capture.formats.mask_search import with_masks
 from blender_nep.capture.formats.photo_search import IMAGES, IMAGES_FIRST, check_distinct, photos_named
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
+from blender_nep.capture.formats.poses import without_pose_warnings
 from blender_nep.capture.photos.photo_lookup import PhotoLookup, stem
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
@@ -97,7 +98,7 @@ def _groups(folder: Path) -> Iterator[list[Path]]:
     """For each of the places that has any, the folders with models, sorted by their names."""
     for place in _PLACES:
         candidates = sorted(folder.glob(place)) if "*" in place else [folder / place]
-        found = [model for model in candidates if _ending(model) is not None]
+        found = [model for model in candidates if _endings(model)]
         if found:
             yield found
 
@@ -134,17 +135,74 @@ def _choose(folder: Path) -> tuple[Path, list[Message]]:
 
 
 def _ending(model: Path) -> str | None:
-    """The ending of the files of a model, 'bin' or 'txt'; None if the folder holds none."""
-    for ending in ("bin", "txt"):
-        if all((model / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
-            return ending
-    return None
+    """The ending of the files of a model, 'bin' or 'txt'; None if the folder holds none.
+
+    If both are there, the one with more poses counts, and the binary one of equals.
+    """
+    found = _endings(model)
+    if len(found) == 2 and _pose_count(model, "txt") > _pose_count(model, "bin"):
+        return "txt"
+    return found[0] if found else None
+
+
+def _endings(model: Path) -> list[str]:
+    names = ("cameras", "images")
+    return [ending for ending in ("bin", "txt") if all((model / f"{name}.{ending}").is_file() for name in names)]
+
+
+def _two_forms(
+    folder: Path, model: Path, files: tuple[Path, Path], cameras: dict[int, _Intrinsics], poses: list[_Pose]
+) -> list[Message]:
+    """A warning if the model is there as binary and as text, and they differ. One that cannot be read does not count."""
+    others = [ending for ending in _endings(model) if files[0].suffix != f".{ending}"]
+    if not others:
+        return []
+    try:
+        _, other_cameras, other_poses = _read_model(model, others[0])
+    except CaptureError:
+        return []
+    if not other_poses or _alike(cameras, poses, other_cameras, other_poses):
+        return []
+    values = {
+        "place": model.relative_to(folder).as_posix(),
+        "used": files[1].name,
+        "photos": len(poses),
+    }
+    return [Message("capture.two_forms", values)]
+
+
+def _alike(
+    cameras: dict[int, _Intrinsics], poses: list[_Pose], other_cameras: dict[int, _Intrinsics], other_poses: list[_Pose]
+) -> bool:
+    """Whether two models say the same of the same photos, within what text rounds."""
+    one, other = ({pose.name: pose for pose in some} for some in (poses, other_poses))
+    if one.keys() != other.keys():
+        return False
+
+    def numbers(pose: _Pose, lenses: dict[int, _Intrinsics]) -> list[float]:
+        lens = lenses.get(pose.camera)
+        own = [] if lens is None else [lens.width, lens.height, *lens.terms.values()]
+        return [*np.sign(pose.quaternion[0] or 1) * np.array(pose.quaternion), *pose.translation, *own]
+
+    pairs = ((numbers(one[name], cameras), numbers(other[name], other_cameras)) for name in one)
+    return all(len(a) == len(b) and np.allclose(a, b, 1e-4, 1e-5, equal_nan=True) for a, b in pairs)
+
+
+def _with_pose(poses: list[_Pose]) -> tuple[list[_Pose], list[str]]:
+    """The poses that are numbers, and the names of the photos of the others; all of them where too few are numbers."""
+    good = [pose for pose in poses if np.isfinite([*pose.quaternion, *pose.translation]).all() and any(pose.quaternion)]
+    if len(good) < MINIMUM_VIEWS:
+        return poses, []
+    kept = {id(pose) for pose in good}
+    return good, [pose.name for pose in poses if id(pose) not in kept]
 
 
 def read(folder: Path) -> CaptureDescription:
     """What the project says; photos are opened only for their size. Raises CaptureError."""
     model, warnings = _choose(folder)
     files, cameras, poses = _read_model(model)
+    warnings = warnings + _two_forms(folder, model, files, cameras, poses)
+    poses, blank = _with_pose(poses)
     if not poses:
         raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
     photos, missing = photos_named(folder, [pose.name for pose in poses], NAME, _photo_places(folder, model))
@@ -154,7 +212,7 @@ def read(folder: Path) -> CaptureDescription:
     views = [_view(cameras, pose, photos[pose.name], rescaled, turned) for pose in placed]
     check_distinct(views, NAME)
     views, found = with_masks(folder, views)
-    warnings += missing + found + rescaled_warnings(rescaled, turned)
+    warnings += without_pose_warnings(blank) + missing + found + rescaled_warnings(rescaled, turned)
     return CaptureDescription(name=NAME, files=files, views=views, warnings=warnings)
 
 
@@ -162,7 +220,7 @@ def _largest(folder: Path, models: list[Path]) -> tuple[Path, list[Message]]:
     """The model with the most poses, and a warning if there are others."""
     if len(models) == 1:
         return models[0], []
-    counts = [_pose_count(model) for model in models]
+    counts = [_pose_count(model, _ending(model) or "txt") for model in models]
     most = max(counts)
     model = models[counts.index(most)]
     values = {
@@ -174,10 +232,10 @@ def _largest(folder: Path, models: list[Path]) -> tuple[Path, list[Message]]:
     return model, [Message("capture.several_models", values)]
 
 
-def _pose_count(model: Path) -> int:
+def _pose_count(model: Path, ending: str) -> int:
     """The number of photos that a model has a pose of; 0 where its file cannot be read."""
     try:
-        if _ending(model) == "bin":
+        if ending == "bin":
             with open_plain(model / "images.bin", sys.maxsize) as file:
                 return _count(file.read(8))
         return len(_text_pose_lines(read_text(model / "images.txt", _MOST_BYTES, "utf-8-sig")))
@@ -191,9 +249,9 @@ def read_cameras(model: Path) -> dict[str, Camera]:
     return {pose.name: _camera(cameras[pose.camera], pose) for pose in poses}
 
 
-def _read_model(model: Path) -> tuple[tuple[Path, Path], dict[int, _Intrinsics], list[_Pose]]:
+def _read_model(model: Path, ending: str | None = None) -> tuple[tuple[Path, Path], dict[int, _Intrinsics], list[_Pose]]:
     """The two files of a model, its intrinsics by their numbers, and its poses. Raises CaptureError."""
-    ending = _ending(model) or "txt"
+    ending = ending or _ending(model) or "txt"
     files = (model / f"cameras.{ending}", model / f"images.{ending}")
     try:
         if ending == "bin":
@@ -237,7 +295,10 @@ def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:
         **{name: value for name, value in terms.items() if name[0] in "kp" and value},
         fisheye=intrinsics.model.endswith("FISHEYE"),
     )
-    w, x, y, z = np.array(pose.quaternion) / np.linalg.norm(pose.quaternion)
+    length = float(np.linalg.norm(pose.quaternion))
+    if not (np.isfinite(length) and length > 0):
+        raise CaptureError(f"{pose.name}: its pose is not finite", "Run COLMAP's mapper again.")
+    w, x, y, z = np.array(pose.quaternion) / length
     to_camera = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

@@ -4,18 +4,21 @@ A mask lies in a folder with `mask` in its name (`masks/`, `mask/`, `train_mask/
 a folder of masks it has the photo's path and name with another ending, with an ending added, or with `mask` added:
 `IMG_1.png`, `IMG_1.jpg.png`, `IMG_1_mask.jpg`, `IMG_1.jpg.mask.png`. Beside the photo it has the photo's name with `mask`
 added: `IMG_1_mask.png`, `IMG_1.mask.png`, `IMG_1.jpg.mask.png`. A single image such as `mask.png`, in a folder of masks or
-in the capture's folder, is the mask of all photos.
+in the capture's folder, is the mask of all photos. Other words for masks are known, too (`_WORDS`).
 """
 
 from __future__ import annotations
 
 import os
 import re
+import unicodedata
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from blender_nep.capture.capture import View
+from blender_nep.capture.photos.mask_files import same_aspect
 from blender_nep.capture.photos.photo_files import SUFFIXES, image_size
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
@@ -23,12 +26,14 @@ from blender_nep.messages import Message
 MASKS = "masks"
 _ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".exr")
 """Endings of masks, in the order in which they count"""
-_ADDED = re.compile(r"(.+)[._-]masks?", re.IGNORECASE)
+_WORDS = r"(?:masks?|alphas?|mattes?|silhouettes?|segmentations?|seg)"
+_ADDED = re.compile(rf"(.+)[._-]{_WORDS}", re.IGNORECASE)
 """The stem of a mask beside its photo. The group is the photo's name, with or without its ending."""
-_FOLDER = re.compile(r"(?:(.+)[ ._-])?masks?(?:[ ._-](.+))?", re.IGNORECASE)
+_FOLDER = re.compile(rf"(?:(.+)[ ._-])?{_WORDS}(?:[ ._-](.+))?", re.IGNORECASE)
 _FORMS = (
     *("{name}{ending}", "{stem}{ending}", "{stem}_mask{ending}", "{stem}-mask{ending}", "{stem}.mask{ending}"),
     *("{name}.mask{ending}", "{name}_mask{ending}", "mask_{stem}{ending}"),
+    *(f"{{stem}}_{word}{{ending}}" for word in ("alpha", "matte", "silhouette", "segmentation", "seg")),
 )
 """Names of a mask in a folder of masks, in the order in which they count"""
 _DOCUMENTED = ("{name}.png", "{stem}.png", "{stem}_mask.png")
@@ -39,6 +44,8 @@ _FOR_ALL = re.compile(
 """The stem of a mask that is meant for all photos"""
 _OTHER_PHOTOS = {"test", "val", "validation", "eval"}
 """Folders of masks with such a word are of other photos."""
+_OTHER_KINDS = (".gif", ".bmp", ".npy", ".npz", ".jp2", ".avif", ".svg", ".json", ".mat", ".pt", ".tga", ".pgm", ".pbm")
+"""Endings of masks that cannot be read"""
 _ASSET = ("report.json", "checkpoints/run.json")
 """The marks of a folder that this program has written (blender_nep/job/folders/own_files.py)"""
 
@@ -46,8 +53,8 @@ _ASSET = ("report.json", "checkpoints/run.json")
 def masks_beside(files: Iterable[Path]) -> set[Path]:
     """Which of the images of one folder are masks of others of them, as their names say."""
     files = list(files)
-    stems, names = {path.stem.lower() for path in files}, {path.name.lower() for path in files}
-    added = ((path, _ADDED.fullmatch(path.stem.lower())) for path in files)
+    stems, names = {_plain(path.stem) for path in files}, {_plain(path.name) for path in files}
+    added = ((path, _ADDED.fullmatch(_plain(path.stem))) for path in files)
     return {path for path, match in added if match and match[1] in stems | names}
 
 
@@ -59,6 +66,8 @@ class FoundMasks:
     """Of each photo"""
     unmatched: bool
     """There is a folder of masks with images, and none of these is of a photo."""
+    unreadable: tuple[Path, ...] = ()
+    """The files in a folder of masks without images, if they may be masks of a kind that cannot be read"""
 
     def messages(self, folder: Path, photos: Sequence[Path], known: Sequence[bool]) -> list[Message]:
         """What was found, where that is news.
@@ -67,6 +76,10 @@ class FoundMasks:
         """
         if self.unmatched:
             return [Message("capture.masks_unmatched", {"example": f"{photos[0].stem}.png"})]
+        if self.unreadable:
+            kinds = sorted({path.suffix.lower()[1:] for path in self.unreadable})
+            values = {"place": _top_below(folder, self.unreadable[0].parent), "kinds": kinds}
+            return [Message("capture.masks_other_kind", values)]
         found = [(mask, photo) for mask, photo, old in zip(self.masks, photos, known, strict=True) if mask and not old]
         if not found:
             return []
@@ -81,17 +94,23 @@ def _top_below(folder: Path, path: Path) -> str:
     """The folder of masks that holds `path`, as it is written relative to `folder` where it lies there."""
     while not _FOLDER.fullmatch(path.name) and path.parent not in (folder, path):
         path = path.parent
-    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) and path != folder else str(path)
 
 
 def find_masks(folder: Path, photos: Sequence[Path]) -> FoundMasks:
     """Look for the masks of `photos`, the photos of the capture in `folder`."""
-    indices = [(place, files) for place in _mask_folders(folder, photos) if (files := _images_in(place))]
-    names = [path.stem.lower() for path in photos]
-    alone = {path: names.count(name) == 1 for path, name in zip(photos, names, strict=True)}
+    places = _mask_folders(folder, photos)
+    indices = [(place, files) for place in places if (files := _images_in(place))]
+    names = Counter(_plain(path.stem) for path in photos)
+    alone = {path: names[_plain(path.stem)] == 1 for path in photos}
     best: list[Path | None] = [None] * len(photos)
     for _, files in indices:
-        masks = [_named(files, _ways(folder, path, alone[path])) for path in photos]
+        ways = [_ways(folder, path, alone[path]) for path in photos]
+        masks = [_named(files, names) for names in ways]
+        if not any(masks):  # in folders of their own, under names that are there once
+            single = Counter(name.rpartition("/")[2] for name in files)
+            flat = {last: path for name, path in files.items() if single[last := name.rpartition("/")[2]] == 1}
+            masks = [_named(flat, names) if alone[path] else None for path, names in zip(photos, ways, strict=True)]
         if sum(map(bool, masks)) > sum(map(bool, best)):
             best = masks
     if not any(best):
@@ -99,7 +118,20 @@ def find_masks(folder: Path, photos: Sequence[Path]) -> FoundMasks:
     images = [path for _, files in indices for path in files.values()]
     if not any(best) and (lone := _for_all(folder, images, photos)):
         best = [lone] * len(photos)
-    return FoundMasks(best, bool(images) and not any(best))
+    unreadable = () if images or any(best) else _unreadable(places)
+    return FoundMasks(best, bool(images) and not any(best), unreadable)
+
+
+def _unreadable(places: Iterable[Path]) -> tuple[Path, ...]:
+    """The files in the first of the folders of masks that holds some which may be masks, but cannot be read."""
+    for place in places:
+        try:
+            found = sorted(path for path in place.iterdir() if path.suffix.lower() in _OTHER_KINDS and path.is_file())
+        except OSError:
+            continue
+        if found:
+            return tuple(found)
+    return ()
 
 
 def _mask_folders(folder: Path, photos: Sequence[Path]) -> list[Path]:
@@ -140,7 +172,7 @@ def _is_asset(folder: Path) -> bool:
 
 
 def _images_in(place: Path) -> dict[str, Path]:
-    """{path relative to `place`, in small letters: path} of the images in a folder of masks and in its folders."""
+    """{path relative to `place`, as `_plain` has it: path} of the images in a folder of masks and in its folders."""
     found = {}
     for root, _, names in os.walk(place):
         for name in sorted(names):
@@ -148,7 +180,7 @@ def _images_in(place: Path) -> dict[str, Path]:
                 path = Path(root) / name
                 if not path.is_file():
                     continue
-                found[path.relative_to(place).as_posix().lower()] = path
+                found[_plain(path.relative_to(place).as_posix())] = path
     return found
 
 
@@ -160,7 +192,12 @@ def _ways(folder: Path, photo: Path, alone: bool) -> list[str]:
     roots = (folder / "images", folder, photo.parent.parent)
     paths = [photo.relative_to(root).parent for root in roots if photo.is_relative_to(root)] + [Path()] * alone
     names = [form.format(name=photo.name, stem=photo.stem, ending=e) for form in _FORMS for e in _ENDINGS]
-    return [(parent / name).as_posix().lower() for parent in dict.fromkeys(paths) for name in names]
+    return [_plain((parent / name).as_posix()) for parent in dict.fromkeys(paths) for name in names]
+
+
+def _plain(name: str) -> str:
+    """The name in small letters, and with one form of Unicode: macOS writes an umlaut as two characters."""
+    return unicodedata.normalize("NFC", name).lower()
 
 
 def _named(files: dict[str, Path], ways: list[str]) -> Path | None:
@@ -178,9 +215,9 @@ def _beside(photos: Sequence[Path]) -> list[Path | None]:
             continue
         masks = [path for path in masks_beside(files) if path.suffix.lower() in _ENDINGS and path not in known]
         for path in sorted(masks, key=lambda path: (_ENDINGS.index(path.suffix.lower()), path.name)):
-            if match := _ADDED.fullmatch(path.stem.lower()):
+            if match := _ADDED.fullmatch(_plain(path.stem)):
                 found.setdefault((parent, match[1]), path)
-    return [found.get((path.parent, path.name.lower())) or found.get((path.parent, path.stem.lower())) for path in photos]
+    return [found.get((path.parent, _plain(path.name))) or found.get((path.parent, _plain(path.stem))) for path in photos]
 
 
 def _for_all(folder: Path, images: list[Path], photos: Sequence[Path]) -> Path | None:
@@ -214,8 +251,11 @@ def with_masks(folder: Path, views: list[View], *, named_by_file: bool = False) 
     if any(view.mask_path for view in views):
         found = replace(found, unmatched=False)
     masks = [view.mask_path or mask for view, mask in zip(views, found.masks, strict=True)]
+    sizes = [None if mask is None else _other_size(mask, view) for view, mask in zip(views, masks, strict=True)]
+    scaled = [view.name for view, size in zip(views, sizes, strict=True) if size and _is_alike(size, view)]
     other = [
-        not view.mask_path and mask is not None and _differs(mask, view) for view, mask in zip(views, masks, strict=True)
+        not view.mask_path and size is not None and not _is_alike(size, view)
+        for view, size in zip(views, sizes, strict=True)
     ]
     known = [
         bool(view.mask_path) or (not named_by_file and _is_documented(folder, view.image_path, mask))
@@ -226,6 +266,8 @@ def with_masks(folder: Path, views: list[View], *, named_by_file: bool = False) 
     names = [view.name for view, wrong in zip(views, other, strict=True) if wrong]
     if names:
         messages.append(Message("capture.masks_other_size", {"count": len(names), "names": names}))
+    if scaled:
+        messages.append(Message("capture.masks_rescaled", {"count": len(scaled), "names": scaled}))
     return [replace(view, mask_path=mask) for view, mask in zip(views, masks, strict=True)], messages
 
 
@@ -236,12 +278,17 @@ def photo_mask_messages(folder: Path, photos: Sequence[Path]) -> list[Message]:
     return found.messages(folder, photos, known)
 
 
-def _differs(mask: Path, view: View) -> bool:
-    """Whether the mask has another size than its photo. One that cannot be read is no such mask: its reader says so."""
+def _other_size(mask: Path, view: View) -> tuple[int, int] | None:
+    """(width, height) of the mask, if that is not its photo's. One that cannot be read is not judged: its reader says so."""
     try:
-        return image_size(mask) != (view.camera.width, view.camera.height)
+        size = image_size(mask)
     except CaptureError:
-        return False
+        return None
+    return None if size == (view.camera.width, view.camera.height) else size
+
+
+def _is_alike(size: tuple[int, int], view: View) -> bool:
+    return same_aspect(size, (view.camera.width, view.camera.height))
 
 
 def _is_documented(folder: Path, photo: Path, mask: Path | None) -> bool:

@@ -18,6 +18,7 @@ length atan(r), which is OpenCV's fisheye model if P1 and P2 are 0. An equisolid
 
 from __future__ import annotations
 
+import math
 import sys
 from itertools import islice
 from pathlib import Path
@@ -140,7 +141,16 @@ def _read_chunk(path: Path) -> Element:
 
 
 def _has_pose(camera: Element) -> bool:
-    return camera.get("enabled", "true").lower() not in ("false", "0") and camera.find("transform") is not None
+    enabled = camera.get("enabled", "true").lower() not in ("false", "0")
+    return enabled and camera.find("transform") is not None and not _is_blank(camera.findtext("transform", ""))
+
+
+def _is_blank(text: str) -> bool:
+    """Whether one of the numbers of a pose is NaN or infinite: no pose was found."""
+    try:
+        return not all(math.isfinite(float(word)) for word in text.split())
+    except ValueError:
+        return False
 
 
 def _label(camera: Element, file: str) -> str:

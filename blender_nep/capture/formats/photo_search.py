@@ -26,13 +26,32 @@ IMAGES_FIRST = (IMAGES, *(place for place in PLACES if place != IMAGES))
 def photos_in(folder: Path) -> list[Path]:
     """The photos in a folder, sorted by their names; none if there is no such folder.
 
-    Hidden files and masks beside their photos do not count.
+    Hidden files, masks beside their photos and second files of a photo do not count.
     """
     if not folder.is_dir():
         return []
     names = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
     files = [path for path in names if path.is_file()]
-    return sorted(set(files) - masks_beside(files), key=lambda path: path.name)
+    return sorted(without_second_files(set(files) - masks_beside(files)), key=lambda path: path.name)
+
+
+def without_second_files(files: Iterable[Path]) -> list[Path]:
+    """The files of one folder, each photo once.
+
+    A photo is often there twice: a camera writes a JPEG beside a raw file, and people export TIFF or JPEG files into the
+    folder, or copy `IMG_1.JPG` to `IMG_1.jpg`. Of files with one stem, EXR, PNG and JPEG files count, or else the file whose
+    ending comes first in `SUFFIXES`.
+    """
+    files = sorted(files)
+    best: dict[str, int] = {}
+    for path in files:
+        best[path.stem] = min(_rank(path), best.get(path.stem, len(SUFFIXES)))
+    chosen = {(path.stem, path.suffix.lower()): path for path in files if _rank(path) == best[path.stem]}
+    return list(chosen.values())
+
+
+def _rank(path: Path) -> int:
+    return max(SUFFIXES.index(path.suffix.lower()), SUFFIXES.index(".jpeg"))
 
 
 def first_with_photos(folder: Path, places: Iterable[str]) -> tuple[str, list[Path]]:
@@ -91,10 +110,10 @@ def _taken_by_others(found: dict[str, Path]) -> list[str]:
         names.setdefault(photo, []).append(name)
     out = []
     for photo, same in names.items():
-        exact = [name for name in same if photo.as_posix().endswith(name.replace("\\", "/").removeprefix("./"))]
-        own = max(exact, key=len) if exact else None
+        paths = {name: name.replace("\\", "/").removeprefix("./") for name in same}
+        own = max((path for path in paths.values() if photo.as_posix().endswith(path)), key=len, default=None)
         if len(same) > 1:
-            out += [name for name in same if name != own and _has_ending(name)]
+            out += [name for name in same if paths[name] != own and _has_ending(name)]
     return out
 
 

@@ -18,10 +18,11 @@ from blender_nep.capture.cameras.conventions import MITSUBA, OPENGL, read_poses
 from blender_nep.capture.cameras.lens_keys import LensKeys
 from blender_nep.capture.cameras.photo_agreement import PhotoAgreement
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription, check_number
+from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription, check_number
 from blender_nep.capture.formats.mask_search import with_masks
 from blender_nep.capture.formats.photo_search import photos_named
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
+from blender_nep.capture.formats.poses import without_pose_warnings
 from blender_nep.capture.photos.photo_files import image_size, refuse_other_computer
 from blender_nep.capture.photos.photo_lookup import PLACES, PhotoLookup, stem
 from blender_nep.errors import CaptureError
@@ -47,16 +48,19 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     check_number(len(frames), file)
     named = [(_photo_name(frame, n), frame) for n, frame in enumerate(frames)]
     photos, warnings = photos_named(folder, [name for name, _ in named], file, PLACES, absolute_first=True)
-    named = [(name, frame) for name, frame in named if name in photos]
+    named, without = _with_pose([(name, frame) for name, frame in named if name in photos])
+    named, twice = _once(named, photos, file)
+    warnings += without + twice
     cameras, more = _cameras(meta, named, photos)
     rescaled: list[str] = []
     turned: list[str] = []
+    places = _places_on_turntable(named, strict=meta.get("turntable") is not False)
     views, lookup = [], PhotoLookup(folder)
+    missing_masks: list[str] = []
     for (name, frame), camera in zip(named, cameras, strict=True):
-        image, mask = photos[name], _mask(lookup, frame)
+        image, mask = photos[name], _mask(lookup, frame, missing_masks)
         camera = fitted(camera, image, name, file, rescaled, turned)
-        place = (None, None) if meta.get("turntable") is False else _place_on_turntable(frame, name)
-        views.append(View(stem(image.name), image, mask, camera, *place))
+        views.append(View(stem(image.name), image, mask, camera, *places[name]))
     views, found = with_masks(folder, views, named_by_file=True)
     return CaptureDescription(
         name=file,
@@ -67,14 +71,18 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
         object_radius=meta.get("object_radius"),
         turntable=_turntable(meta, named),
         warnings=warnings + more + found + rescaled_warnings(rescaled, turned),
+        missing_masks=missing_masks,
     )
 
 
 def _read_json(path: Path) -> dict:
     try:
-        meta = read_json(path, "utf-8-sig")  # some editors write a byte order mark
+        meta = read_json(path, None)
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{path.name} cannot be read ({error})", "It must be JSON text.") from error
+        raise CaptureError(
+            f"{path.name} cannot be read ({error})",
+            "It must be JSON: no comments, no comma after a last entry, nothing missing at its end.",
+        ) from error
     if not isinstance(meta, dict):
         raise CaptureError(f"{path.name} does not hold a JSON object")
     return meta
@@ -87,6 +95,44 @@ def _photo_name(frame: object, n: int) -> str:
     if not isinstance(frame.get("file_path"), str):
         raise CaptureError(f"frame {n} has no file_path")
     return frame["file_path"]
+
+
+def _with_pose(named: list[tuple[str, dict]]) -> tuple[list[tuple[str, dict]], list[Message]]:
+    """The frames that have a pose, and a warning about the others. Programs write NaN, null or zeros where they find none.
+
+    If too few frames have one, all are kept: their reader says what is wrong.
+    """
+    blank = [_is_blank(frame.get("transform_matrix")) for _, frame in named]
+    if not any(blank) or blank.count(False) < MINIMUM_VIEWS:
+        return named, []
+    without = [name for (name, _), none in zip(named, blank, strict=True) if none]
+    return [one for one, none in zip(named, blank, strict=True) if not none], without_pose_warnings(without)
+
+
+def _is_blank(value: object) -> bool:
+    """Whether a matrix says that there is no pose."""
+    if value is None:
+        return True
+    try:
+        matrix = np.array(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    return matrix.size in (12, 16) and not (np.isfinite(matrix).all() and matrix.ravel()[:12].any())
+
+
+def _once(named: list[tuple[str, dict]], photos: dict[str, Path], file: str) -> tuple[list[tuple[str, dict]], list[Message]]:
+    """The first frame of each photo, and a warning about equal ones. Raises CaptureError where two poses differ."""
+    first: dict[Path, dict] = {}
+    kept, again = [], []
+    for name, frame in named:
+        known = first.setdefault(photos[name], frame)
+        if known is frame:
+            kept.append((name, frame))
+        elif known.get("transform_matrix") == frame.get("transform_matrix"):
+            again.append(name)
+        else:
+            raise CaptureError(f"{file} has several cameras for {photos[name].name}", "Leave one frame of each photo.")
+    return kept, [Message("capture.frames_twice", {"count": len(again), "names": again})] if again else []
 
 
 def _cameras(meta: dict, named: list[tuple[str, dict]], photos: dict[str, Path]) -> tuple[list[Camera], list[Message]]:
@@ -138,6 +184,23 @@ def _turntable(meta: dict, named: list[tuple[str, dict]]) -> bool | None:
     return said
 
 
+def _places_on_turntable(named: list[tuple[str, dict]], strict: bool) -> dict[str, tuple[int | None, float | None]]:
+    """{name: row and turn}. Where the object did not turn (not `strict`), they count only if the user says otherwise.
+
+    Then wrong values, or those of a part of the frames, are passed over. Raises CaptureError where `strict`.
+    """
+    try:
+        found = {name: _place_on_turntable(frame, name) for name, frame in named}
+    except CaptureError:
+        if strict:
+            raise
+        return {name: (None, None) for name, _ in named}
+    if strict:
+        return found
+    has_row, has_turn = (all(place[k] is not None for place in found.values()) for k in (0, 1))
+    return {name: (row if has_row else None, turn if has_turn else None) for name, (row, turn) in found.items()}
+
+
 def _place_on_turntable(frame: dict, name: str) -> tuple[int | None, float | None]:
     """The frame's row, and the table's angle in degrees; None where the file does not say it. Raises CaptureError."""
     row, turn = frame.get("row"), frame.get("turn")
@@ -150,14 +213,15 @@ def _place_on_turntable(frame: dict, name: str) -> tuple[int | None, float | Non
     return row, float(turn)
 
 
-def _mask(lookup: PhotoLookup, frame: dict) -> Path | None:
+def _mask(lookup: PhotoLookup, frame: dict, missing: list[str]) -> Path | None:
+    """The mask that the frame names. If that is not there, its name is added to `missing`."""
     if not frame.get("mask_path"):
         return None
     named = str(frame["mask_path"])
     refuse_other_computer(lookup.folder, named)
     mask = lookup.find(named, _MASK_PLACES)
     if mask is None:
-        raise CaptureError(f"mask {frame['mask_path']} is missing", "Put it back, or take mask_path out of its frame.")
+        missing.append(named)
     return mask
 
 

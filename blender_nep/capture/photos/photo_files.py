@@ -30,6 +30,8 @@ from blender_nep.safety.plain_files import is_on_other_computer, open_plain
 
 SUFFIXES = photo_lookup.ENDINGS
 
+_LFS = b"version https://git-lfs"
+"""The beginning of a file whose content Git LFS has not fetched"""
 QUARTER_TURNS = {1: 0, 2: 0, 6: 1, 5: 1, 3: 2, 4: 2, 8: 3, 7: 3}
 """{EXIF orientation: by how many quarter turns clockwise the stored image must be turned to stand upright}
 
@@ -71,9 +73,12 @@ def image_size(path: Path) -> tuple[int, int]:
     """(width, height) in pixels, from the file's header. Raises CaptureError."""
     sizes = {"exr": exr_files.size, "raw": raw_files.size, "tiff": tiff_files.size, "heif": heif_files.size}
     try:
-        return sizes.get(file_kind(path), pillow_files.size)(path)
+        size = sizes.get(file_kind(path), pillow_files.size)(path)
     except DAMAGED as error:
         raise _unreadable(path, error) from error
+    if min(size) < 1:
+        raise _unreadable(path, ValueError("it has no pixels"))
+    return size
 
 
 def is_linear(path: Path) -> bool:
@@ -91,16 +96,20 @@ def is_linear(path: Path) -> bool:
 def open_image(path: Path, color_space: str) -> Raster:
     """Open an image file; its values stay as stored. Raises CaptureError if it cannot be read as an image."""
     tagged = color_space != "linear"
+    reads = {"tiff": tiff_files.read, "heif": heif_files.read}
     try:
         kind = file_kind(path)
         if kind == "exr":
-            return exr_files.read(path)
-        if kind == "raw":
-            return raw_files.read(path)
-        reads = {"tiff": tiff_files.read, "heif": heif_files.read}
-        return reads.get(kind, pillow_files.read)(path, tagged)
+            raster = exr_files.read(path)
+        elif kind == "raw":
+            raster = raw_files.read(path)
+        else:
+            raster = reads.get(kind, pillow_files.read)(path, tagged)
     except DAMAGED as error:
         raise _unreadable(path, error) from error
+    if not raster.stored.size:
+        raise _unreadable(path, ValueError("it has no pixels"))
+    return raster
 
 
 def exif(path: Path) -> dict[int, object]:
@@ -134,4 +143,14 @@ def time_taken(path: Path) -> datetime | None:
 
 
 def _unreadable(path: Path, error: Exception) -> CaptureError:
-    return CaptureError(f"{path.name} cannot be read as an image ({error})", "Replace the file, or take it out.")
+    reason, hint = str(error), "Replace the file, or take it out."
+    try:
+        with open_plain(path, sys.maxsize) as file:
+            start = file.read(len(_LFS))
+    except OSError:
+        start = None
+    if start == b"":
+        reason, hint = "it is empty", "Copy it again, or take it out."
+    elif start == _LFS:
+        reason, hint = "it is only a pointer of Git LFS", "Fetch the photos: git lfs pull"
+    return CaptureError(f"{path.name} cannot be read as an image ({reason})", hint)

@@ -5,20 +5,21 @@ because Blender's Python cannot import the library. tests/capture/test_photo_loo
 
 A name may have slashes of both kinds, a drive, or an absolute path of another computer. The ending may be missing, or be
 that of the photo before it was converted. Upper and lower case may differ, and so may the form of Unicode: macOS writes an
-umlaut as two characters, other systems write it as one.
+umlaut as two characters, other systems write it as one. The name may be that of an address, with %20 for a space.
 """
 
 import os
 import unicodedata
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from urllib.parse import unquote
 
 ENDINGS = (
     *(".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".heic", ".heif", ".hif"),
     *(".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2"),
 )
 """Endings of photos that can be read. Where a name leaves its ending out, the first one that is there counts."""
-_OTHER_ENDINGS = (
+UNREADABLE_ENDINGS = (
     *(".avif", ".bmp", ".gif", ".jfif", ".jp2", ".jpe", ".jxl", ".pgm", ".ppm", ".tga", ".hdr"),
     *(".3fr", ".crw", ".dcr", ".erf", ".iiq", ".kdc", ".mrw", ".nrw", ".pef", ".sr2", ".srw", ".x3f"),
 )
@@ -52,6 +53,10 @@ class PhotoLookup:
                 found = self._in(self.folder, (*PurePosixPath(place).parts, *parts[first:]))
                 if found:
                     return found
+        if name != name.strip():
+            return self.find(name.strip(), places, absolute_first=absolute_first)
+        if "%" in name and (plain := unquote(name)) != name:  # the name of an address, with %20 for a space
+            return self.find(plain, places, absolute_first=absolute_first)
         # A job names photos relative to the capture's folder, which another drive does not allow.
         if absolute is not None and not absolute_first and absolute.drive == self.folder.absolute().drive:
             return self._in(absolute.parent, (absolute.name,))
@@ -108,7 +113,7 @@ class PhotoLookup:
 def stem(name: str) -> str:
     """The name without the ending of a photo. A name without such an ending is complete: `frame.0001` stays as it is."""
     base, ending = os.path.splitext(name)
-    return base if ending.lower() in ENDINGS + _OTHER_ENDINGS else name
+    return base if ending.lower() in ENDINGS + UNREADABLE_ENDINGS else name
 
 
 def _parts(name: str) -> tuple[str, ...]:

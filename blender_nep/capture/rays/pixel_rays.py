@@ -16,6 +16,8 @@ from torch import Tensor
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lenses
 from blender_nep.capture.capture import Capture
+from blender_nep.capture.description import MINIMUM_VIEWS, MOST_LACKING
+from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.rays.downscaling import box, factor_for
 from blender_nep.capture.rays.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.rays.pixel_store import PixelMemory
@@ -250,8 +252,11 @@ class PixelRays:
         sizes = [(c.height // f, c.width // f) for c, f in zip(cameras, factors, strict=True)]
         offset = np.concatenate([[0], np.cumsum([h * w for h, w in sizes])]).tolist()
         stores = memory.stores(offset[-1], use_masks, device)
-        facts = []
+        facts: list[_Facts] = []
+        lacking = _lacking(capture) if use_masks else []
         for photo, camera, size in zip(_loaded(capture, factors, use_masks), cameras, sizes, strict=True):
+            if len(facts) in lacking and photo.mask is None:
+                photo.mask, photo.facts.has_mask = np.zeros(len(photo.valid), np.uint8), True
             facts.append(photo.facts)
             stores.append(photo.radiance, photo.valid & camera.shown_pixels(size[1], size[0]), photo.mask)
             progress(len(facts), len(cameras))
@@ -269,9 +274,17 @@ class PixelRays:
         if masked and not any(p.covered for p in facts):
             raise CaptureError(
                 "the masks are empty: no pixel belongs to the object",
-                "Check mask_path and the masks' polarity (white is object).",
+                "Check mask_path and the masks' polarity (white is object), or the photos' alpha (0 is not the object).",
             )
-        empty = [i for i, p in enumerate(facts) if masked and not p.covered and _sees_center(capture, cameras[i])]
+        if lacking:
+            names = [capture.views[i].name for i in lacking]
+            warnings.append(Message("capture.masks_lacking", {"count": len(names), "names": names}))
+        unknown = [i for i, p in enumerate(facts) if masked and not p.covered and _sees_center(capture, cameras[i])]
+        full = _full(facts) if masked and not cut_out else []
+        if full:
+            names = [capture.views[i].name for i in full]
+            warnings.append(Message("capture.masks_full", {"count": len(full), "names": names}))
+        empty = [i for i in unknown if i not in lacking]
         if empty:
             names = [capture.views[i].name for i in empty]
             warnings.append(Message("capture.masks_empty", {"count": len(empty), "names": names}))
@@ -283,7 +296,7 @@ class PixelRays:
 
         nothing = PixelSet.of(torch.zeros(0, dtype=torch.int64, device=device))
         radiance, valid, mask = stores.finished()
-        for i in empty:  # where the object is in such a photo is not known
+        for i in {*unknown, *lacking, *full}:  # where the object is in such a photo is not known
             valid[offset[i] : offset[i + 1]] = False
         rays = cls(
             radiance=radiance,
@@ -348,8 +361,8 @@ class _Facts:
     brightest: float
     cut_out: bool
     has_mask: bool
-    covered: bool
-    """The mask shows at least one object pixel."""
+    covered: float
+    """The part of the photo that the mask shows as the object, 0 .. 1"""
 
 
 @dataclass
@@ -444,11 +457,27 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
         brightest,
         cut_out,
         mask is not None,
-        mask is not None and bool((mask > 127).any()),
+        0.0 if mask is None else float((mask > 127).mean()),
     )
     if brightest <= _BLACK:
         valid[:] = False
     return _Photo(radiance, valid, mask, facts)
+
+
+def _full(facts: list[_Facts]) -> list[int]:
+    """The photos whose masks are white everywhere, if those of others show an object: what made the masks failed there."""
+    full = [i for i, p in enumerate(facts) if p.covered >= 0.999]
+    others = [p.covered for p in facts if p.covered < 0.999]
+    return full if 2 * len(full) <= len(facts) and len(others) >= MINIMUM_VIEWS and np.median(others) < 0.5 else []
+
+
+def _lacking(capture: Capture) -> list[int]:
+    """The photos that have no mask file, if nearly all others have one. Many such photos would be too many to leave out."""
+    if capture.mask_reading.meaning not in (MaskMeaning.OBJECT, MaskMeaning.BACKGROUND):
+        return []
+    without = [i for i, view in enumerate(capture.views) if view.mask_path is None]
+    enough = len(without) <= MOST_LACKING * len(capture.views) and len(capture.views) - len(without) >= MINIMUM_VIEWS
+    return without if enough else []
 
 
 def _sees_center(capture: Capture, camera: Camera) -> bool:

@@ -112,7 +112,7 @@ def only(found: list[Path], what: str) -> Path:
 def json_of(path: Path) -> Any:
     """What the JSON file holds. Raises CaptureError."""
     try:
-        return read_json(path, "utf-8-sig")
+        return read_json(path, None)
     except (OSError, ValueError) as error:
         raise CaptureError(f"{path.name} cannot be read ({error})", AGAIN) from error
 

@@ -70,6 +70,8 @@ def _pixels(path: Path) -> tuple[np.ndarray, ColorEncoding]:
     check(path)
     for part in OpenEXR.File(str(path), separate_channels=True).parts:
         channels = {n: np.asarray(c.pixels) for n, c in part.channels.items()}
+        if not channels:  # OpenEXR has printed why, and gives a part without channels
+            raise ValueError("its pixels are damaged")
         names = _color_channels(list(channels))
         if names is None:
             continue

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,6 +60,11 @@ class Raster:
     def has_alpha(self) -> bool:
         """Whether some pixel is not opaque (alpha below 0.999)."""
         return self.least_alpha() < 0.999
+
+    def without_alpha(self) -> Raster:
+        """The same image, opaque everywhere."""
+        channels = self.stored.shape[-1]
+        return self if channels in (1, 3) else replace(self, stored=self.stored[..., : channels - 1], associated=False)
 
     def alpha(self, step: int = 1) -> np.ndarray | None:
         """Alpha [h, w] float32 in 0..1 of every `step`-th pixel in both directions, from pixel step // 2 on.
