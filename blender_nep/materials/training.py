@@ -21,7 +21,7 @@ from torch import Tensor
 from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
-from blender_nep.materials.baking import bake, texture_size
+from blender_nep.materials.baking import Places, bake, texture_size
 from blender_nep.materials.camera_response import found_curve, with_light_itself
 from blender_nep.materials.corrections import (
     Correctable,
@@ -46,6 +46,7 @@ from blender_nep.materials.samples.light_gathering import LitSamples, Observatio
 from blender_nep.materials.segments.varied_materials import (
     PlacedPixels,
     VariedMaterials,
+    classes_of_segments,
     fit_segments,
     gain_of_segments,
     gain_of_unseen_light,
@@ -364,7 +365,9 @@ class _MaterialLearner:
         segments = segments_of(self.seen.samples, self.seed)
         gain = gain_of_segments(self.search, self.found, segments)
         self.report.varied_gain = round(gain, 4)
-        if gain < p.varied_gain:
+        # Segments that explain hardly more tell no class, where whole materials do not. But tarnish makes a metal vary.
+        metal = self.found.metal if gain < p.varied_gain else None
+        if gain < (p.varied_gain if metal is None else p.varied_gain_of_unclear):
             self._skip(Part.VARIED_MATERIALS, Message("reason.palette_explains"))
             return None
         lit = with_more_samples(
@@ -378,13 +381,18 @@ class _MaterialLearner:
         )
         segments = segments_of(lit.samples, self.seed, self._label_pixels)
         label = torch.from_numpy(segments.label).to(self.seen.device)
+        classes = None
+        if metal is not None:
+            position, normal, _ = surfels(lit.samples, self.seen.f_p.tracer, self.seen.surface.normals)
+            classes = classes_of_segments(self.search.metal_at(metal, Places(position, normal)), segments)
+            classes = classes.to(self.seen.device)
         if self.light.unseen is not None and self.unseen_learned:
-            gain = gain_of_unseen_light(lit, label, segments, p)
+            gain = gain_of_unseen_light(lit, label, segments, p, classes)
             self.report.unseen_light_gain = round(gain, 3)
             self.search = self.search.under(self.light.with_unseen(self.light.unseen.scaled(gain)))
             lit = lit.with_unseen(gain)
         self.report.samples = len(lit.samples)
-        palette = fit_segments(lit.light, lit.samples.radiance, label, segments, p)
+        palette = fit_segments(lit.light, lit.samples.radiance, label, segments, p, classes)
         self.report.tell_segments(palette)
         return VariedMaterials(segments, palette), lit
 

@@ -13,7 +13,8 @@ from blender_nep.materials import training
 from blender_nep.materials.corrections import Correction, KeptMaterials
 from blender_nep.materials.labels.pixel_votes import Surfels
 from blender_nep.materials.samples.photo_samples import PhotoSamples
-from blender_nep.materials.segments.varied_materials import PlacedPixels, majority, segments_of
+from blender_nep.materials.segments.segments import Segments
+from blender_nep.materials.segments.varied_materials import PlacedPixels, classes_of_segments, majority, segments_of
 from support.lit_ball import PRESET, RADIUS, check_kept, learn, make_photos
 
 MORE = replace(PRESET, samples=5000, label_pixels=9000)
@@ -247,3 +248,33 @@ def test_the_list_has_the_albedo_of_a_corrected_roughness(varied):
     shown = points.albedo[np.abs(points.roughness - 0.9) < 1e-5].mean(0)
     learned, listed = (np.array(each.listed()[gold].albedo) for each in (materials, corrected))
     assert np.abs(listed - shown).max() < 0.3 * np.abs(learned - shown).max()
+
+
+def test_a_segment_has_the_class_of_most_of_its_samples():
+    segments = Segments(np.zeros((4, 7)), np.array([0, 0, 0, 1, 1, 2, 2, 2]))
+    metal = np.array([True, True, False, False, True, False, False, True])
+    assert classes_of_segments(metal, segments).tolist() == [1, 0, 0, 0], "half is not most, and nothing is no metal"
+
+
+@pytest.mark.slow
+def test_tarnish_varies_within_places_of_metal(ball):
+    """Photos that tell classes badly: edges of color say what is metal, and its albedo varies there."""
+
+    def tarnished(points):
+        metal = (points[:, 0] < 0.2).float()[:, None]
+        bright = 0.6 + 0.35 * torch.sigmoid(6 * points[:, 1:2])
+        albedo = metal * bright * torch.tensor([0.9, 0.7, 0.4]) + (1 - metal) * torch.tensor([0.1, 0.15, 0.5])
+        return albedo, 0.2 + 0.1 * (1 - metal[:, 0]), metal[:, 0]
+
+    unclear = replace(MORE, unclear_classes=0.0, varied_gain=9.0, varied_gain_of_unclear=-9.0)
+    found = learn(ball, make_photos(tarnished), unclear)
+    assert found.report["segments"] > 50 and found.report["varied_gain"] < unclear.varied_gain
+    face, barycentric = rasterize(ball.uv, ball.faces, len(found.metallic))
+    known = face >= 0
+    points = np.einsum("nc,nck->nk", barycentric[known], ball.vertices[ball.faces[face[known]]])
+    clear = np.abs(points[:, 0] - 0.2) > 0.08
+    metal = points[clear, 0] < 0.2
+    assert ((found.metallic[known][clear] > 0.5) == metal).mean() > 0.97
+    shown = found.albedo[known][clear][metal, 0]
+    truth = 0.9 * (0.6 + 0.35 / (1 + np.exp(-6 * points[clear][metal, 1])))
+    assert np.corrcoef(shown, truth)[0, 1] > 0.95 and np.abs(shown - truth).mean() < 0.06

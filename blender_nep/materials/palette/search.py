@@ -321,6 +321,10 @@ class PaletteSearch:
             return None
         return not_there(found.palette.metallic.cpu().numpy(), *self.metals.around(found.metal, at))
 
+    def metal_at(self, metal: np.ndarray, at: Places) -> np.ndarray:
+        """Whether m places are metal [m] bool, if `metal` [n] bool says it of the samples."""
+        return self.metals.around(metal, at)[0]
+
     @profiled("residuals")
     def costs(self, palette: Palette) -> Tensor:
         """Weighted residuals [n, K] of every sample under each material of a palette.

@@ -138,6 +138,13 @@ def segments_of(samples: PhotoSamples, seed: int, pixels: PhotoSamples | None = 
     return Segments.of(samples.position, color, max(1, len(samples) // _SAMPLES_OF_SEGMENT), seed)
 
 
+def classes_of_segments(metal: np.ndarray, segments: Segments) -> Tensor:
+    """The metallic value [K] of each segment: that of most of its n samples, of which `metal` [n] bool are metal."""
+    count = np.bincount(segments.label, minlength=len(segments))
+    share = np.bincount(segments.label, metal, len(segments)) / np.maximum(count, 1)
+    return torch.from_numpy((share > 0.5).astype(np.float32))
+
+
 def gain_of_segments(search: PaletteSearch, found: FoundPalette, segments: Segments) -> float:
     """Share by which the materials of segments lower the residual of the palette `found`, on photos that were held out.
 
@@ -204,17 +211,20 @@ def fit_segments(
 
 
 @profiled("varied materials")
-def gain_of_unseen_light(lit: LitSamples, label: Tensor, segments: Segments, preset: MaterialPreset) -> float:
+def gain_of_unseen_light(
+    lit: LitSamples, label: Tensor, segments: Segments, preset: MaterialPreset, classes: Tensor | None = None
+) -> float:
     """The factor of the unseen light with which the segments explain the photos best. label [n] int64: their segments.
 
     The unseen light was found with few materials, so it takes part in what they explain badly. The brightness of paint that
-    it lights from one side and not from the other tells its strength. The classes are those without a factor. It is 1 if the
-    photos show no light, for then there is nothing to compare the unseen light with.
+    it lights from one side and not from the other tells its strength. The classes are those without a factor, or the values
+    of metallic `classes` [K]. It is 1 if the photos show no light, for then there is nothing to compare the unseen light
+    with.
     """
     if not lit.light.in_photos:
         return 1.0
     target, even = lit.samples.radiance, torch.ones(len(lit.samples), device=label.device)
-    metallic = fit_segments(lit.light, target, label, segments, preset).metallic
+    metallic = fit_segments(lit.light, target, label, segments, preset, classes).metallic
     residual = []
     for gain in _UNSEEN_GAINS:
         light = lit.with_unseen(gain).light
