@@ -60,7 +60,8 @@ def compare(
     with RelitScene(item, width, height, samples, seed) as relit:
         for frame, size in zip(frames, sizes, strict=True):
             relit.set_size(*size)
-            again = seen_by_camera(rendered(relit, frame, recovered), frame.response) * np.array(frame.gain)
+            lit = rendered(relit, frame, recovered) * frame.object_gain
+            again = seen_by_camera(lit, frame.response) * np.array(frame.gain)
             again = seen_by_camera(again, frame.curve_of_files)
             photo = _photo(frame, *size)
             gain = 1.0 if frame.color_space == "srgb" else exposure(again if photo is None else photo)
