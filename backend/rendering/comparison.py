@@ -4,8 +4,8 @@ Each row shows a photo, the same view rendered under the recovered light, and th
 A turntable below the rows, if one is asked for, shows the object under one light. The tiles are sRGB-encoded, as by
 Blender's view transform Standard, which changes no hue. A photo and its re-rendering share one exposure and white balance;
 where those differ from photo to photo, these are the photo's own. Where the asset's report says that the object is brighter
-in a photo than in others, the whole re-rendering is, too. Every other light has its own exposure. Where Blender does not show
-the format of a photo, its name stands in its place.
+in a photo than in others, the whole re-rendering is, too. Every other light has its own exposure. Where Blender does not
+show the format of a photo, its name stands in its place.
 """
 
 from collections.abc import Callable
