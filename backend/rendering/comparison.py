@@ -3,8 +3,9 @@
 Each row shows a photo, the same view rendered under the recovered light, and the same view under each of the other lights.
 A turntable below the rows, if one is asked for, shows the object under one light. The tiles are sRGB-encoded, as by
 Blender's view transform Standard, which changes no hue. A photo and its re-rendering share one exposure and white balance;
-where those differ from photo to photo, these are the photo's own. Every other light has its own exposure. Where Blender does
-not show the format of a photo, its name stands in its place.
+where those differ from photo to photo, these are the photo's own. Where the asset's report says that the object is brighter
+in a photo than in others, the whole re-rendering is, too. Every other light has its own exposure. Where Blender does not
+show the format of a photo, its name stands in its place.
 """
 
 from collections.abc import Callable
@@ -60,7 +61,8 @@ def compare(
     with RelitScene(item, width, height, samples, seed) as relit:
         for frame, size in zip(frames, sizes, strict=True):
             relit.set_size(*size)
-            again = seen_by_camera(rendered(relit, frame, recovered), frame.response) * np.array(frame.gain)
+            lit = rendered(relit, frame, recovered) * frame.object_gain
+            again = seen_by_camera(lit, frame.response) * np.array(frame.gain)
             again = seen_by_camera(again, frame.curve_of_files)
             photo = _photo(frame, *size)
             gain = 1.0 if frame.color_space == "srgb" else exposure(again if photo is None else photo)

@@ -47,6 +47,8 @@ class Frame:
     mask: Path | None = None
     # How the object of a turntable had moved since the first photo [4,4]. The light of the asset stood still.
     object_to_room: np.ndarray | None = None
+    # How much brighter the object's light was than in the other photos, before `response`
+    object_gain: float = 1.0
     # Strength, white and scale of the camera's response curve, which the photo has and the asset has not
     response: tuple[float, float, float] | None = None
     # The same in the values of the photos' files, after `gain`
@@ -184,8 +186,9 @@ def with_exposures(frames: list[Frame], asset: Path) -> list[Frame]:
         used = [replace(frame, response=_response(report), curve_of_files=curve) for frame in used]
         of_object = report.get("stages", {}).get("material_learning", {}).get("object_gains", [1.0] * len(used))
         gains = np.array(capture.get("photo_gains", np.ones((len(used), 3))), np.float64)
-        gains = gains.reshape(len(used), 3) * np.array(of_object, np.float64).reshape(len(used), 1)
-        return [replace(frame, gain=(r, g, b)) for frame, (r, g, b) in zip(used, gains.tolist(), strict=True)]
+        told = zip(gains.reshape(len(used), 3).tolist(), np.array(of_object, np.float64).tolist(), strict=True)
+        both = zip(used, told, strict=True)
+        return [replace(frame, gain=(r, g, b), object_gain=bright) for frame, ((r, g, b), bright) in both]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):  # another program wrote the asset
         return frames
 

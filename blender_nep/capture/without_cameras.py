@@ -56,9 +56,8 @@ def no_capture(folder: Path, file: str, recognized: Callable[[Path], bool]) -> C
         )
     if videos := videos_in(folder):
         return only_videos(folder, videos, f"no photos and no cameras: it {state}")
-    kinds = _unreadable_photos(folder)
-    if sum(kinds.values()) >= MINIMUM_VIEWS:
-        return unreadable_photos(folder, kinds, f"{state}")
+    if kinds := unreadable_kinds(folder):
+        return unreadable_photos(folder, kinds, state)
     inner = [path.name for path in sorted(folder.iterdir()) if path.is_dir() and _is_or_could_be(path, recognized)]
     if inner:
         more = f" and {len(inner) - _SHOWN} more" if len(inner) > _SHOWN else ""

@@ -236,6 +236,8 @@ class MaterialsStage:
         return packed | {"object_gain": result.object_gain}
 
     def unpack(self, state: dict, given: MaterialsInput) -> Materials:
+        import torch
+
         from blender_nep.capture.rays.response_curve import ResponseCurve
         from blender_nep.materials.corrections import KeptMaterials
         from blender_nep.materials.training import Materials
@@ -249,8 +251,8 @@ class MaterialsStage:
         response = ResponseCurve.from_state(state["response"]) if state["response"] is not None else None
         gain = state["object_gain"]
         if gain is not None:
-            check_array("object_gain", gain, (given.scene.rays.views,))
-            gain = gain.to(given.scene.device)
+            check_array("object_gain", gain, (given.scene.rays.views,), low=1e-6)
+            gain = torch.as_tensor(gain, device=given.scene.device)
         found = Materials(**state["textures"], unseen=unseen, report=state["report"], kept=kept, response=response)
         return replace(found, object_gain=gain)
 

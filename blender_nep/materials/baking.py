@@ -88,11 +88,6 @@ def on_same_side(
     return np.where(other, np.inf, distance), np.where(other, nearest, index)
 
 
-def vote(cost: np.ndarray, distance: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Index [m] int of the material with the least mean cost over each point's neighbors (`weighted_mean`)."""
-    return weighted_mean(cost, distance, index).argmin(1)
-
-
 def weighted_mean(cost: np.ndarray, distance: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Mean cost [m, K] over the neighbors of m points, weighted by `kernel`.
 

@@ -103,7 +103,7 @@ class CorrectablePalette:
     target: Tensor
     """[n, 3] linear radiance of the photo samples"""
     label: Tensor
-    """[n] int64, the material that a sample shows alone; -1 for a blend"""
+    """[n] int64, the material that a sample shows alone; -1 for a blend, and for a sample that no fit uses"""
     palette: Palette
     points: BlendedPoints
 

@@ -151,7 +151,7 @@ def explain_photos(
     of_asset[missed] = behind(environment, rays, index[torch.from_numpy(missed).to(device)])
     at = torch.from_numpy(chosen).to(device)
     scored = index[at]
-    compared = _in_files(rays.with_object_gain(object_gain), scored, of_asset[chosen])
+    compared = _in_files(rays, _equally_bright(rays, scored, object_gain, response), of_asset[chosen])
     found = photo_score(*compared, _numbers(rays, scored, own_gains))
     in_sphere = index[torch.from_numpy(beside).to(device)]
     return Explained(found, _surroundings(environment, rays, in_sphere, every, own_gains, random))
@@ -172,14 +172,25 @@ def _surroundings(
     index = torch.cat([outside[torch.from_numpy(~burnt_out(rays, outside)).to(outside.device)], beside]).sort().values
     if len(index) > _PIXELS:
         index = index[torch.from_numpy(np.sort(random.choice(len(index), _PIXELS, replace=False))).to(index.device)]
-    return photo_score(*_in_files(rays, index, behind(environment, rays, index)), _numbers(rays, index, own_gains))
+    compared = _in_files(rays, rays.photo(index), behind(environment, rays, index))
+    return photo_score(*compared, _numbers(rays, index, own_gains))
 
 
-def _in_files(rays: PixelRays, index: Tensor, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What photos of one exposure show in the pixels index [n], and what they would show of `radiance` [n, 3]."""
-    both = rays.photo(index), torch.from_numpy(np.asarray(radiance, np.float32)).to(index.device)
-    shown, predicted = (rays.as_in_files(values).cpu().numpy() for values in both)
-    return shown, predicted
+def _equally_bright(rays: PixelRays, index: Tensor, gain: Tensor | None, response: ResponseCurve | None) -> Tensor:
+    """The radiance [n, 3] of the object's pixels index [n], as if the object was as bright in all photos.
+
+    gain [views] is that of the object's light (`photo_gains`), before the camera's curve `response`.
+    """
+    if gain is None or response is None:
+        return rays.with_object_gain(gain).photo(index)
+    return response.photo(rays.with_response(response).with_object_gain(gain).photo(index))
+
+
+def _in_files(rays: PixelRays, shown: Tensor, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What files of one exposure have of `shown` [n, 3] and `radiance` [n, 3], both as `PixelRays.photo` gives them."""
+    both = shown, torch.from_numpy(np.asarray(radiance, np.float32)).to(shown.device)
+    found, predicted = (rays.as_in_files(values).cpu().numpy() for values in both)
+    return found, predicted
 
 
 def _drawn(pixels: PixelSet, every: int, most: int, random: np.random.Generator) -> Tensor:

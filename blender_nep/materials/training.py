@@ -434,7 +434,7 @@ class _MaterialLearner:
 
     def _correctable_palette(self, points: BlendedPoints) -> CorrectablePalette:
         found, count = self.found, len(self.found.palette) - self.found.palette.blends
-        label = torch.where(found.label < count, found.label, -1)
+        label = torch.where(found.label < count, found.label_of_fits, -1)
         palette = found.palette.pick(list(range(count)))
         return CorrectablePalette(LightMoments(**self.light.moments_state()), self.search.target, label, palette, points)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import sys
 from collections.abc import Iterator
@@ -35,6 +36,8 @@ def prints_go_to_errors() -> Iterator[None]:
         with contextlib.redirect_stdout(sys.stderr):
             yield
     finally:
+        with contextlib.suppress(OSError, AttributeError, TypeError):  # Windows has no such name for the C library
+            ctypes.CDLL(None).fflush(None)  # what C libraries print to a pipe waits in a buffer
         os.dup2(kept, 1)
         os.close(kept)
 

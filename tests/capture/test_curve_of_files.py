@@ -63,6 +63,9 @@ def test_nothing_is_told_without_different_exposures(room):
     assert curve_of_files(photos, None, one, 1.0, PRIOR) is None
     assert curve_of_files(photos, np.ones(room.views), one, 1.0, PRIOR) is None
     assert curve_of_files(photos, exposed(room.views), one, None, PRIOR) is None, "the photos hold light"
+    assert (
+        curve_of_files(photographed(room, exposed(room.views), 1.0), exposed(room.views)[::-1], one, 1.0, PRIOR) is None
+    ), "the surroundings deny EXIF"
     sessions = np.arange(room.views) % 2
     days = np.where(sessions == 0, 0.5, 2.0)
     assert curve_of_files(photos, days, sessions, 1.0, PRIOR) is None, "days are not compared by EXIF"

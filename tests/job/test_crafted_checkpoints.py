@@ -10,6 +10,7 @@ import io
 import json
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,8 +19,9 @@ import torch
 from blender_nep.checkpoints import load_state, save_state
 from blender_nep.job.commands import correction
 from blender_nep.job.reporting.events import Events
-from blender_nep.job.stages import SurfaceResult, SurfaceStage
+from blender_nep.job.stages import MaterialsStage, SurfaceResult, SurfaceStage
 from blender_nep.materials.corrections import Correction, KeptMaterials
+from blender_nep.materials.training import Materials
 from blender_nep.surface.normal_map import LeanMesh
 from support.ball_stages import BallStages, ball_surface
 from support.two_materials import KeepingStages, two_materials
@@ -66,6 +68,19 @@ def correct(asset: Path) -> tuple[int, dict]:
     told = io.StringIO()
     code = correction.run(asset, {1: Correction(roughness=0.3)}, Events(told, io.StringIO()))
     return code, json.loads(told.getvalue().splitlines()[-1])
+
+
+def test_how_bright_the_object_is_in_each_photo_comes_back(tmp_path):
+    gray, gain = np.full((4, 4), 0.5, np.float32), torch.tensor([1.0, 0.8, 1.25])
+    given = SimpleNamespace(scene=SimpleNamespace(rays=SimpleNamespace(views=3), device="cpu"))
+    materials = Materials(np.stack([gray] * 3, -1), gray, gray, gray, object_gain=gain)
+    save_state(tmp_path / "state.pt", MaterialsStage().pack(materials))
+    state = load_state(tmp_path / "state.pt")
+    assert torch.equal(MaterialsStage().unpack(state, given).object_gain, gain)
+    assert torch.equal(MaterialsStage().unpack(state | {"object_gain": gain.numpy()}, given).object_gain, gain)
+    for wrong in (gain[:2], torch.zeros(3), changed(gain, 0, np.nan), "text"):
+        with pytest.raises(ValueError, match="object_gain"):
+            MaterialsStage().unpack(state | {"object_gain": wrong}, given)
 
 
 def packed_surface() -> dict:

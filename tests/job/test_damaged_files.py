@@ -76,4 +76,5 @@ def test_what_libraries_print_does_not_spoil_the_json(tmp_path, capfd):
     assert cli.main(["info", str(tmp_path), "--json"]) == 3
     out, told = capfd.readouterr()
     error = strict_json(out)["error"]
-    assert path.name in error["message"] and f"error: {error['message']}" in told
+    assert f"error: {error['message']}" in told
+    assert error["message"] == f"{path.name} cannot be read as an image (its pixels are damaged)"

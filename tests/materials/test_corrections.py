@@ -1,12 +1,15 @@
 """Corrections by an artist: what the artist says is right wins, and all else stays as it was learned."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
 from blender_nep.materials.corrections import Correction
+from blender_nep.materials.palette.search import FoundPalette
+from blender_nep.materials.training import _MaterialLearner
 from blender_nep.shading.light_moments import LightMoments
 from support.lit_ball import PRESET, RADIUS, check_kept, learn, make_photos
 
@@ -99,6 +102,15 @@ def test_a_material_shown_by_blends_alone_keeps_its_values(learned):
     palette = blended.corrected({k: Correction(metallic=1.0)}, MORE).palette
     assert palette.metallic[k] == 1 and palette.roughness[k] == materials.palette.roughness[k]
     assert torch.equal(palette.albedo[k], materials.palette.albedo[k])
+
+
+def test_samples_that_no_fit_uses_tell_a_correction_nothing(learned):
+    """Every second sample of the first material is doubtful."""
+    light, label = learned.kept.materials.light, torch.tensor([0] * 8 + [1] * 8)
+    found = FoundPalette(learned.kept.materials.palette.pick([0, 1]), label, doubtful=torch.arange(16) % 2 > label)
+    learner = SimpleNamespace(found=found, light=light, search=SimpleNamespace(target=torch.zeros(16, 3)))
+    kept = _MaterialLearner._correctable_palette(learner, learned.kept.materials.points)
+    assert kept.label.tolist() == [0, -1] * 4 + [1] * 8
 
 
 def test_a_correction_tries_no_lobes_that_were_not_gathered(ball, without_metal):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.materials.explained_photos import OF_HITS, NoRadiance, TexturedSurface, explain_photos
 from blender_nep.shading.plenoptic import PlenopticFunction
@@ -34,17 +35,20 @@ def photos():
 
 @pytest.fixture(scope="module")
 def score(photos):
-    """score(albedo, roughness, metallic, every) is that of a ball with these textures on one of `every` pixels."""
+    """score(albedo, roughness, metallic, every) is that of a ball with these textures on one of `every` pixels.
+
+    `shown` are the photos, and of_camera is what `explain_photos` is told of them.
+    """
     ball = unwrapped_ball()
     tracer = RayTracer(ball.vertices, ball.faces)
     light = Light()
     f_p = PlenopticFunction(tracer, ball.normals, light, NoRadiance(), OF_HITS, "cpu")
 
-    def of(albedo=ALBEDO, roughness=ROUGHNESS, metallic=1.0, every=1, shown=photos):
+    def of(albedo=ALBEDO, roughness=ROUGHNESS, metallic=1.0, every=1, shown=photos, own_gains=True, **of_camera):
         flat = np.ones((8, 8), np.float32)
         textures = {"albedo": flat[..., None] * albedo, "roughness": roughness * flat, "metallic": metallic * flat}
         asset = TexturedSurface(ball, textures)
-        found = explain_photos(asset, f_p, light, shown, every, True, 0)
+        found = explain_photos(asset, f_p, light, shown, every, own_gains, 0, **of_camera)
         assert found.surroundings is None  # the photos are cut-outs
         return found.object
 
@@ -82,6 +86,20 @@ def test_only_held_out_pixels_are_scored(score, photos):
     other.background = False
     assert score(every=5, shown=other) == score(every=5)
     assert score(every=1, shown=other).psnr < score().psnr - 10
+
+
+def test_the_objects_brightness_is_evened_before_the_curve(score, photos):
+    """Where a camera has a curve, photos of an object that is not as bright in all score as those of one brightness."""
+    curve = ResponseCurve.of(2.0, 1.0, 0.1)
+    gain = torch.tensor([0.6, 1.6, 1.0, 0.8, 1.3, 1.0])
+    even, odd = (
+        replace(photos, radiance=curve.photo(light))
+        for light in (photos.radiance, photos.radiance * gain[photos.view][:, None])
+    )
+    even.background = odd.background = False
+    alike = score(shown=even, own_gains=False, response=curve)
+    assert score(shown=odd, own_gains=False, response=curve, object_gain=gain).psnr == pytest.approx(alike.psnr, abs=0.01)
+    assert score(shown=odd, own_gains=False, response=curve).psnr < alike.psnr - 3
 
 
 def test_the_score_is_the_same_each_time(score):

@@ -64,6 +64,22 @@ def test_info_that_nobody_reads(make_capture):
     assert ended.returncode == 0 and not ended.stderr
 
 
+C_PRINTS = """
+import ctypes
+from blender_nep.safety.standard_streams import prints_go_to_errors
+with prints_go_to_errors():
+    ctypes.CDLL(None).printf(b"warning\\n")
+print("{}")
+"""
+
+
+@posix
+def test_what_c_libraries_print_waits_in_no_buffer():
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    done = subprocess.run([sys.executable, "-c", C_PRINTS], env=buffered, cwd=ROOT, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("{}\n", "warning\n")
+
+
 @posix
 def test_a_job_without_standard_streams_ends_as_with_them(make_capture, tmp_path):
     """It is refused, because two photos are too few."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from blender_nep.capture.exposure.from_exif import agreement
+from blender_nep.capture.exposure.from_exif import LEAST_AGREEMENT, agreement
 from blender_nep.capture.exposure.surroundings import LEAST_SPREAD, Comparison, compare_exposures
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.rays.response_curve import MOST_STRENGTH, ResponseCurve
@@ -24,8 +24,9 @@ _STRENGTHS = tuple(np.linspace(0, MOST_STRENGTH, 5).tolist())
 def curve_of_files(
     rays: PixelRays, gains: np.ndarray | None, session: np.ndarray, expected: float | None, prior: float
 ) -> ResponseCurve | None:
-    """The response curve in the files' values; that of strength 0 is sRGB alone. None: the exposures tell nothing of it.
+    """The response curve in the files' values; that of strength 0 is sRGB alone.
 
+    None: the exposures tell nothing of it, or the surroundings deny them (`exposures_from_exif`).
     gains [views] are `exif_gains` and session [views] is that of `sessions`. `expected` is the strength that the files make
     likely (None: values are linear); the cost of another one is `prior` times the square of the difference.
     """
@@ -41,9 +42,11 @@ def curve_of_files(
         if compared is None:
             return None
         errors.append(_error(compared, gains, session))
+    if min(errors) > 1 / LEAST_AGREEMENT:  # EXIF does not count for the exposures then, and not for the curve either
+        return None
     return ResponseCurve.of_files(TriedStrengths(_STRENGTHS, tuple(errors)).best(expected, prior))
 
 
 def _error(compared: Comparison, gains: np.ndarray, session: np.ndarray) -> float:
-    """How much more the surroundings differ with EXIF's exposures than with the gains that fit them best; at least 1."""
+    """How much the surroundings differ with EXIF's exposures, as a multiple of how much with the gains that fit best."""
     return 1 / max(agreement(gains, session, compared), 1e-6)

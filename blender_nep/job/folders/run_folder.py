@@ -36,6 +36,7 @@ Version 9 keeps clear and veiled object pixels apart. Version 11 counts F_e as l
 Version 12 keeps the normals of labeled points. Version 13 keeps which parts of a face the photos show. Version 14
 keeps the moments of our own optimizers. Version 15 keeps what each refinement of stage 1 has done. Version 16 keeps the
 camera's response curve. Version 17 keeps how the object of a turntable stood where it reflects itself.
+Version 18 keeps how much brighter the object is in each photo.
 """
 
 

@@ -68,9 +68,12 @@ def _window(header: dict[str, Any], name: str) -> tuple[int, int]:
 
 def _pixels(path: Path) -> tuple[np.ndarray, ColorEncoding]:
     check(path)
-    for part in OpenEXR.File(str(path), separate_channels=True).parts:
+    parts = OpenEXR.File(str(path), separate_channels=True).parts
+    if not parts:  # OpenEXR has printed why
+        raise ValueError("its pixels are damaged")
+    for part in parts:
         channels = {n: np.asarray(c.pixels) for n, c in part.channels.items()}
-        if not channels:  # OpenEXR has printed why, and gives a part without channels
+        if not channels:  # the same, for a part after its header
             raise ValueError("its pixels are damaged")
         names = _color_channels(list(channels))
         if names is None:
