@@ -348,6 +348,7 @@ MESSAGES = {
     "reason.wide_pixels": "the photos have too few pixels for it",
     "reason.curve_told": "the exposures of the photos told it",
     "reason.equally_bright": "it is as bright in all photos",
+    "reason.object_turned": "the object turned in its light",
     "reason.linear_photos": "the photos hold linear values",
     "reason.no_tone_curve": "the photos show none",
     "reason.light_not_shown": "the photos show too little of the light",

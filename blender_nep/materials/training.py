@@ -239,6 +239,9 @@ class _MaterialLearner:
         if not self.preset.object_gains:
             self._skip(Part.OBJECT_GAINS, Message("reason.preset"))
             return
+        if self._turned:  # most of the light is not known before the object's reflections have told it
+            self._skip(Part.OBJECT_GAINS, Message("reason.object_turned"))
+            return
         search, rays = self.search, self.seen.rays
         region, predicted = search.of_regions()
         gain = gains_of_photos(search.samples, predicted, region, search.weight, rays.views)

@@ -76,3 +76,4 @@ def test_materials_are_found_on_an_object_that_turns_in_the_light() -> None:
     assert errors[0] < 0.02 and errors[0] < 0.5 * errors[1]
     assert abs(float(np.median(found.roughness)) - 0.3) < 0.03
     assert found.metallic.max() < 0.5
+    assert found.report["skipped"]["object gains"]["code"] == "reason.object_turned"

@@ -84,8 +84,8 @@ def labeled_pixels(
     there = Places(pixels.position, pixels.normal)
     around = on_same_side(neighbors(tree, pixels.position, 2 * NEIGHBORS), there, there)
     smoothed = weighted_mean(cost, *around)
-    smoothed = possible(smoothed, excluded(there))
     inner = shows_one_material(smoothed, blended, tree)
+    smoothed = possible(smoothed, excluded(there))
     smoothed[np.ix_(inner, blended)] *= (1 + p.inner_blend_margin) / (1 + p.blend_margin)
     own = cost[np.arange(len(cost)), smoothed.argmin(1)]
     return BlendedPoints(*pixels, own, *find_blends(smoothed, palette, p.blend_margin))
