@@ -131,7 +131,8 @@ def find_groups(
     longest = max(max(reduction.width, reduction.height) for reduction in reductions.values())
     best: list[Group] = []
     earlier = None
-    for number, way in enumerate(WAYS if given is None else WAYS[:1]):
+    ways = [way for way in WAYS if len(photos) >= way.least_photos]
+    for number, way in enumerate(ways if given is None else ways[:1]):
         if number:
             report("way", _placed(best), len(photos))
         if earlier is not None and not way.added:

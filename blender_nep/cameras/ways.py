@@ -44,6 +44,9 @@ class Way:
     pooling; Dong and Soatto, CVPR 2015). So a floor is found again that other photos see at a grazing angle."""
     added: bool = False
     """The features and matches of the way before count, too."""
+    least_photos: int = 0
+    """The way is not tried with fewer photos. Among few photos, a wrong group looks like a right one: with two lenses and
+    without EXIF, five of eight photos were placed 4 degrees off."""
 
     def settings(self, longest: int, photos: int) -> dict:
         """What the settings of `matching_process` say of the way.
@@ -78,6 +81,7 @@ WAYS = (
         globally=True,
         affine=True,
         added=True,
+        least_photos=16,
     ),
 )
 """The first one is cheap and finds the cameras of most captures. The second one has pycolmap's own features

@@ -116,3 +116,10 @@ def test_the_way_is_said_where_it_was_not_the_first(photos):
 
 def test_all_but_one_photo_is_enough():
     assert [enough(photos) for photos in (3, 9, 10, 20, 67)] == [2, 8, 9, 19, 64]
+
+
+def test_few_photos_are_not_given_to_the_third_way(climbed, tmp_path):
+    for number in range(15, COUNT):
+        (tmp_path / "photos" / f"photo_{number:02d}.png").unlink()
+    groups, taken, _ = climbed(9, 10)
+    assert len(groups[0].placed) == 10 and [way["affine"] for way in taken] == [False, False]
