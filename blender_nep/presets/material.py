@@ -122,8 +122,8 @@ class MaterialPreset:
     """Weight of the differences between neighbors of one color where it is decided which places are metal."""
     unclear_classes: float = 0.65
     """It is decided so if the mean residual is more than this share of the mean difference of the residuals of both classes.
-    inf: each place decides alone. Measured: 0.37 for a box in metal and paint, 0.54 to 0.63 for a gradual patina, 0.69 for
-    a photographed gilt head, 0.79 to 0.81 for a photographed brass."""
+    inf: each place decides alone. Measured: 0.37 for a box in metal and paint, 0.54 to 0.63 for a gradual patina, 0.79 to
+    0.81 for a photographed brass."""
     blend_margin: float = 0.05
     """Share by which a mixture of two materials must be better than one material alone."""
     inner_blend_margin: float = 0.25
