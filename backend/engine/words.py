@@ -297,6 +297,7 @@ MESSAGES = {
     "scene.high_range": "The photos hold highlights brighter than white (HDR), and hardly any is burnt out.",
     "scene.hardly_clipped": "The photos end at white, but hardly a pixel is burnt out.",
     "scene.vignetting": "The photos are darker towards their corners (by {stops:.1f} stops), which is evened out.",
+    "scene.curve_undone": "The different exposures show the camera's tone curve, which is undone.",
     "scene.exposure_differs": "The photos differ in exposure (by up to {stops:.1f} stops), which is evened out.",
     "scene.white_balance_differs": "The photos differ in white balance, which is evened out.",
     "scene.exposure_and_white_balance_differ": "The photos differ in exposure (by up to {stops:.1f} stops) and white "
@@ -346,7 +347,7 @@ MESSAGES = {
     "reason.no_hull": "the shape does not start from an outline",
     "reason.levels_there": "the shape has them already",
     "reason.wide_pixels": "the photos have too few pixels for it",
-    "reason.curve_told": "the exposures of the photos told it",
+    "reason.curve_told": "the photos' exposures have told it before",
     "reason.equally_bright": "it is as bright in all photos",
     "reason.object_turned": "the object turned in its light",
     "reason.linear_photos": "the photos hold linear values",

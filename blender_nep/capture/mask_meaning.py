@@ -115,7 +115,7 @@ def _alpha_hides(capture: Capture, chosen: Sequence[int]) -> bool:
     hidden = []
     for i in chosen:
         photo, mask = capture.open_photo(i), capture.open_mask(i)
-        step = 1 if mask is None else _step(mask)
+        step = 1 if mask is None else _step(mask.size)
         alpha = photo.alpha(step)
         if mask is not None and alpha is not None and (shown := mask.coverage(step) > 0.5).any():
             hidden.append(float((alpha[shown] < 0.5).mean()))
@@ -162,7 +162,7 @@ def read_alpha(capture: Capture) -> list[Message]:
     masks = []
     for i in chosen:
         photo = capture.open_photo(i)
-        step = max(1, min(max(photo.size) // _ROWS, min(photo.size)))
+        step = _step(photo.size)
         alpha = photo.alpha(step)
         if alpha is None or photo.least_alpha() >= 0.5:
             return []
@@ -188,7 +188,7 @@ def read_alpha(capture: Capture) -> list[Message]:
 def _has_colors(capture: Capture, i: int, opaque: np.ndarray) -> bool:
     """Whether photo `i` has colors where it is transparent. opaque: [h, w] bool of some pixels."""
     photo = capture.open_photo(i)
-    step = max(1, min(max(photo.size) // _ROWS, min(photo.size)))
+    step = _step(photo.size)
     kept = range(step // 2, photo.size[0], step)
     hidden = np.concatenate([photo.rows(row, row + 1)[0][:, step // 2 :: step] for row in kept])[~opaque]
     return len(hidden) > 0 and bool(np.ptp(np.nan_to_num(hidden), axis=0).max() >= _NO_COLORS)
@@ -204,8 +204,7 @@ class _Seen(NamedTuple):
 
 
 def _first_look(mask: MaskRaster) -> _Seen:
-    size = mask.raster.size
-    return _Seen(*mask.look(max(1, min(max(size) // _ROWS, min(size)))))
+    return _Seen(*mask.look(_step(mask.raster.size)))
 
 
 def _color(
@@ -236,7 +235,7 @@ def read_photo_masks(paths: Sequence[Path]) -> tuple[MaskReading, list[Message]]
     color, of_color = _color([seen.colors for seen in first], [(0.5, 0.5)] * len(first))
     raw = [seen.coverage for seen in first]
     if color is not None:
-        raw = [mask.coverage(_step(mask)) for k in chosen if (mask := _opened(paths[k], MaskReading(color=color)))]
+        raw = [mask.coverage(_step(mask.size)) for k in chosen if (mask := _opened(paths[k], MaskReading(color=color)))]
     white, messages = _white(raw)
     messages = of_color + messages
     masks = [mask / white > 0.5 for mask in raw]
@@ -252,12 +251,12 @@ def read_photo_masks(paths: Sequence[Path]) -> tuple[MaskReading, list[Message]]
 def _coarse(capture: Capture, i: int) -> np.ndarray | None:
     """Values [h, w] in 0..1 of some pixels of mask `i`, as its file stores them."""
     mask = capture.open_mask(i)
-    return None if mask is None else mask.coverage(_step(mask))
+    return None if mask is None else mask.coverage(_step(mask.size))
 
 
-def _step(mask: MaskRaster) -> int:
-    """So many pixels of a mask are passed over from one that is looked at to the next one."""
-    return max(1, min(max(mask.size) // _ROWS, min(mask.size)))
+def _step(size: tuple[int, int]) -> int:
+    """Every so many pixels of a picture of this size (H, W), one is looked at along each axis."""
+    return max(1, min(max(size) // _ROWS, min(size)))
 
 
 def _white(masks: list[np.ndarray]) -> tuple[float, list[Message]]:

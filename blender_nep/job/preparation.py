@@ -15,7 +15,7 @@ from blender_nep.capture.camera_settings import expected_response
 from blender_nep.capture.capture import View
 from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
 from blender_nep.capture.exposure.curve_of_files import curve_of_files
-from blender_nep.capture.exposure.from_exif import exif_gains, exposures_of
+from blender_nep.capture.exposure.from_exif import exif_gains, exposures_by
 from blender_nep.capture.exposure.other_light import other_light
 from blender_nep.capture.exposure.sessions import sessions, times_of
 from blender_nep.capture.exposure.surroundings import Comparison, compare_exposures
@@ -313,14 +313,14 @@ class Preparation:
         `expected` is the likely strength of the camera's response curve. If EXIF's exposures tell the curve, it is undone
         before they are evened out.
         """
-        compared, capture, material = photos.compared, photos.capture, self._settings.preset.material
+        compared, material = photos.compared, self._settings.preset.material
+        exif = exif_gains(photos.capture), sessions(times_of(photos.capture))
         if compared is not None and material.camera_response:
-            told = exif_gains(capture), sessions(times_of(capture))
-            curve = curve_of_files(rays, *told, expected, material.response_prior)
+            curve = curve_of_files(rays, compared, *exif, expected, material.response_prior)
             if curve is not None:
                 rays = rays.with_curve_of_files(curve)
                 compared = compare_exposures(rays)
-        exposures = exposures_of(capture, compared, rays.radiance.device)
+        exposures = exposures_by(*exif, compared, rays.radiance.device)
         if exposures.warning:
             self._events.warning(exposures.warning)
         return rays.with_gain(exposures.gain, exposures.vignetting)

@@ -8,7 +8,7 @@ messages do not wait for them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -232,8 +232,14 @@ class MaterialsStage:
         unseen = result.unseen.state() if result.unseen is not None else None
         kept = result.kept.state() if result.kept is not None else None
         response = result.response.state() if result.response is not None else None
-        packed = {"textures": textures, "unseen": unseen, "report": result.report, "kept": kept, "response": response}
-        return packed | {"object_gain": result.object_gain}
+        return {
+            "textures": textures,
+            "unseen": unseen,
+            "report": result.report,
+            "kept": kept,
+            "response": response,
+            "object_gain": result.object_gain,
+        }
 
     def unpack(self, state: dict, given: MaterialsInput) -> Materials:
         import torch
@@ -253,8 +259,9 @@ class MaterialsStage:
         if gain is not None:
             check_array("object_gain", gain, (given.scene.rays.views,), low=1e-6)
             gain = torch.as_tensor(gain, device=given.scene.device)
-        found = Materials(**state["textures"], unseen=unseen, report=state["report"], kept=kept, response=response)
-        return replace(found, object_gain=gain)
+        return Materials(
+            **state["textures"], unseen=unseen, report=state["report"], kept=kept, response=response, object_gain=gain
+        )
 
 
 @dataclass(frozen=True)

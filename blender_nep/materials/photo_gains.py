@@ -31,13 +31,13 @@ _SMALLEST = 0.1
 
 @profiled("photo gains")
 def gains_of_photos(samples: PhotoSamples, predicted: Tensor, region: Tensor, weight: Tensor, photos: int) -> Tensor | None:
-    """The gain [photos] of each photo, from its samples. None: the photos do not differ.
+    """The gain [photos] of each photo, from its samples; 1 without any. None: the photos do not differ.
 
     predicted [n, 3] is the radiance that the n samples would have with the best material of their region [n] int64; weight
     [n] is how much a sample counts.
     """
     log = ((samples.radiance.mean(-1) + BLACK) / (predicted.mean(-1) + BLACK)).log()
-    regions = int(region.max()) + 1
+    regions, shown = int(region.max()) + 1, torch.bincount(samples.photo, minlength=photos) > 0
     gain, place = torch.zeros(photos, device=log.device), torch.zeros(regions, device=log.device)
     for _ in range(_ITERATIONS):
         left = log - gain[samples.photo] - place[region]
@@ -45,7 +45,7 @@ def gains_of_photos(samples: PhotoSamples, predicted: Tensor, region: Tensor, we
         noise = float((robust * left**2).sum() / robust.sum())
         place = _means(log - gain[samples.photo], robust, region, regions, 1.0)
         gain = _means(log - place[region], robust, samples.photo, photos, noise / USUAL**2)
-        gain = gain - gain[samples.photo].mean()
+        gain = torch.where(shown, gain - gain[samples.photo].mean(), 0.0)
     spread = float(gain[samples.photo].std())
     return gain.exp() if spread >= LEAST_SPREAD else None
 

@@ -43,6 +43,8 @@ class PhotoAnalysis(Analysis):
     """Share of the sphere's pixels that show the object; None without masks"""
     pixels_across: float
     """Number of pixels across the sphere, median over the pixels"""
+    curve: float
+    """Strength of the camera's response curve that the exposures have told, and that is undone; 0 if there is none"""
     exposure_stops: float
     """Stops between the photos with the lowest and the highest exposure; 0 if all are equal, or if they cannot be found"""
     corner_stops: float
@@ -76,6 +78,7 @@ class PhotoAnalysis(Analysis):
             sphere_share=len(rays.sphere) / max(int(rays.valid.sum()), 1),
             object_share=None if shown is None else float(shown.float().mean()),
             pixels_across=2 / max(float((pixel_width(angle) * origins.norm(dim=-1)).median()), 1e-9),
+            curve=0.0 if rays.curve_of_files is None else rays.curve_of_files.strength,
             exposure_stops=0.0 if rays.gain is None else float(np.ptp(stops(rays.gain))),
             corner_stops=0.0 if rays.vignetting is None else rays.vignetting.corner_stops,
             white_balance=0.0 if rays.gain is None else float(_color(rays.gain).square().mean().sqrt()),
@@ -99,6 +102,8 @@ class PhotoAnalysis(Analysis):
             lines.append(Message("scene.exposure_differs", {"stops": self.exposure_stops}))
         elif white_balance:
             lines.append(Message("scene.white_balance_differs"))
+        if self.curve:
+            lines.append(Message("scene.curve_undone"))
         if self.corner_stops:
             lines.append(Message("scene.vignetting", {"stops": -self.corner_stops}))
         return [*lines, self._size()]

@@ -8,7 +8,10 @@ import torch
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.exposure.curve_of_files import curve_of_files
+from blender_nep.capture.exposure.surroundings import compare_exposures
 from blender_nep.capture.rays.response_curve import ResponseCurve
+from blender_nep.messages import Message
+from blender_nep.scene.photo_analysis import PhotoAnalysis
 
 PRIOR = 0.02
 
@@ -36,12 +39,16 @@ def photographed(room, gains, strength):
     return replace(room, radiance=ResponseCurve.of_files(strength).photo(light.clamp(max=0.95)))
 
 
+def found_for(photos, *told):
+    return curve_of_files(photos, compare_exposures(photos), *told)
+
+
 @pytest.mark.parametrize("strength", [0.0, 1.0, 1.6])
 def test_the_curve_is_found_whatever_is_expected(room, strength):
     gains = exposed(room.views)
     photos = photographed(room, gains, strength)
     for expected in (0.0, 1.0):
-        found = curve_of_files(photos, gains, np.zeros(room.views, int), expected, PRIOR)
+        found = found_for(photos, gains, np.zeros(room.views, int), expected, PRIOR)
         assert found.strength == pytest.approx(strength, abs=0.2)
 
 
@@ -60,12 +67,20 @@ def test_the_light_is_that_before_the_curve(room):
 def test_nothing_is_told_without_different_exposures(room):
     one = np.zeros(room.views, int)
     photos = photographed(room, np.ones(room.views), 1.0)
-    assert curve_of_files(photos, None, one, 1.0, PRIOR) is None
-    assert curve_of_files(photos, np.ones(room.views), one, 1.0, PRIOR) is None
-    assert curve_of_files(photos, exposed(room.views), one, None, PRIOR) is None, "the photos hold light"
-    assert (
-        curve_of_files(photographed(room, exposed(room.views), 1.0), exposed(room.views)[::-1], one, 1.0, PRIOR) is None
-    ), "the surroundings deny EXIF"
+    assert found_for(photos, None, one, 1.0, PRIOR) is None
+    assert found_for(photos, np.ones(room.views), one, 1.0, PRIOR) is None
+    assert found_for(photos, exposed(room.views), one, None, PRIOR) is None, "the photos hold light"
+    assert found_for(photographed(room, exposed(room.views), 1.0), exposed(room.views)[::-1], one, 1.0, PRIOR) is None, (
+        "the surroundings deny EXIF"
+    )
     sessions = np.arange(room.views) % 2
     days = np.where(sessions == 0, 0.5, 2.0)
-    assert curve_of_files(photos, days, sessions, 1.0, PRIOR) is None, "days are not compared by EXIF"
+    assert found_for(photos, days, sessions, 1.0, PRIOR) is None, "days are not compared by EXIF"
+
+
+def test_the_user_is_told_of_a_curve_that_is_undone(room):
+    undone = Message("scene.curve_undone")
+    for strength in (0.0, 1.0):
+        rays = room.with_curve_of_files(ResponseCurve.of_files(strength))
+        assert (undone in PhotoAnalysis.of(rays).sentences()) == (strength > 0)
+    assert undone not in PhotoAnalysis.of(room).sentences()

@@ -61,6 +61,12 @@ def test_a_photo_with_one_sample_keeps_its_gain():
     assert abs(float(found[3].log())) < 0.35 < float((found[5] / found[4]).log())
 
 
+def test_a_photo_without_samples_keeps_its_gain():
+    samples, predicted, region = samples_of(torch.tensor([1.0] * (PHOTOS - 2) + [2.0, 2.0]))
+    found = gains_of_photos(samples, predicted, region, torch.ones(N), PHOTOS + 1)
+    assert float(found[PHOTOS]) == 1
+
+
 def test_the_albedo_is_that_of_evened_photos(ball):
     albedo, *_ = BRONZE
     photos = make_photos(constant(*BRONZE))

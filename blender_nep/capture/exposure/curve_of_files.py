@@ -22,13 +22,19 @@ _STRENGTHS = tuple(np.linspace(0, MOST_STRENGTH, 5).tolist())
 
 @profiled("response curve")
 def curve_of_files(
-    rays: PixelRays, gains: np.ndarray | None, session: np.ndarray, expected: float | None, prior: float
+    rays: PixelRays,
+    compared: Comparison,
+    gains: np.ndarray | None,
+    session: np.ndarray,
+    expected: float | None,
+    prior: float,
 ) -> ResponseCurve | None:
     """The response curve in the files' values; that of strength 0 is sRGB alone.
 
     None: the exposures tell nothing of it, or the surroundings deny them (`exposures_from_exif`).
-    gains [views] are `exif_gains` and session [views] is that of `sessions`. `expected` is the strength that the files make
-    likely (None: values are linear); the cost of another one is `prior` times the square of the difference.
+    compared: the exposures as the files have them. gains [views] are `exif_gains` and session [views] is that of `sessions`.
+    `expected` is the strength that the files make likely (None: values are linear); the cost of another one is `prior` times
+    the square of the difference.
     """
     if gains is None or expected is None:
         return None
@@ -36,12 +42,12 @@ def curve_of_files(
     middle = np.array([log[session == number].mean() for number in range(session.max() + 1)])
     if float((log - middle[session]).std()) < LEAST_SPREAD:
         return None
-    errors = []
-    for strength in _STRENGTHS:
-        compared = compare_exposures(rays.with_curve_of_files(ResponseCurve.of_files(strength)))
-        if compared is None:
+    errors = [_error(compared, gains, session)]  # strength 0
+    for strength in _STRENGTHS[1:]:
+        without_curve = compare_exposures(rays.with_curve_of_files(ResponseCurve.of_files(strength)))
+        if without_curve is None:
             return None
-        errors.append(_error(compared, gains, session))
+        errors.append(_error(without_curve, gains, session))
     if min(errors) > 1 / LEAST_AGREEMENT:  # EXIF does not count for the exposures then, and not for the curve either
         return None
     return ResponseCurve.of_files(TriedStrengths(_STRENGTHS, tuple(errors)).best(expected, prior))

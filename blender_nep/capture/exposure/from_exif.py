@@ -30,7 +30,14 @@ def exposures_of(capture: Capture, compared: Comparison | None, device: torch.de
 
     compared: None if the photos share too little of the surroundings.
     """
-    found = exposures_from_exif(exif_gains(capture), sessions(times_of(capture)), compared, device)
+    return exposures_by(exif_gains(capture), sessions(times_of(capture)), compared, device)
+
+
+def exposures_by(
+    gains: np.ndarray | None, session: np.ndarray, compared: Comparison | None, device: torch.device | str = "cpu"
+) -> Exposures:
+    """As `exposures_of`, by EXIF that was read before: `exif_gains`, and the session [views] of each photo (`sessions`)."""
+    found = exposures_from_exif(gains, session, compared, device)
     if found is not None:
         return found
     return Exposures(None) if compared is None else compared.exposures(device)

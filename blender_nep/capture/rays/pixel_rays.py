@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,31 +14,24 @@ from torch import Tensor
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lenses
 from blender_nep.capture.capture import Capture
-from blender_nep.capture.description import MINIMUM_VIEWS, MOST_LACKING
-from blender_nep.capture.photos.mask_files import MaskMeaning
-from blender_nep.capture.rays.downscaling import box, factor_for
+from blender_nep.capture.rays.decoded_photos import PhotoFacts, decoded, judged
+from blender_nep.capture.rays.downscaling import factor_for
+from blender_nep.capture.rays.judged_masks import judged_masks, photos_without_masks
 from blender_nep.capture.rays.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.capture.rays.rigid_motions import RigidMotions
 from blender_nep.capture.rays.vignetting import Vignetting
-from blender_nep.errors import BoundsError, CaptureError
+from blender_nep.errors import BoundsError
 from blender_nep.messages import Message
 from blender_nep.profiling import profiled
-
-MAXIMUM_RADIANCE = 6e4
-"""Larger radiance is clipped to this value: the largest half float is 65504."""
 
 BRIGHTEST_CLIPPED, SATURATED = 1.001, 0.97
 """If no pixel is brighter than `BRIGHTEST_CLIPPED`, the files cannot store more than 1. Then a channel above `SATURATED` may
 be clipped: the true radiance is at least that value."""
-_BLACK = 1e-6
-"""A photo without a brighter value counts as black."""
 _STRIP_PIXELS = 1 << 18
 """Pixels that are handled at a time; this many fit into the processor's cache."""
-_DECODED_PIXELS = 50_000_000
-"""Pixels of all photos that are decoded at the same time. A photo with more pixels is decoded alone."""
 
 
 @dataclass
@@ -252,42 +243,20 @@ class PixelRays:
         sizes = [(c.height // f, c.width // f) for c, f in zip(cameras, factors, strict=True)]
         offset = np.concatenate([[0], np.cumsum([h * w for h, w in sizes])]).tolist()
         stores = memory.stores(offset[-1], use_masks, device)
-        facts: list[_Facts] = []
-        lacking = _lacking(capture) if use_masks else []
-        for photo, camera, size in zip(_loaded(capture, factors, use_masks), cameras, sizes, strict=True):
+        facts: list[PhotoFacts] = []
+        lacking = photos_without_masks(capture) if use_masks else []
+        for photo, camera, size in zip(decoded(capture, factors, use_masks), cameras, sizes, strict=True):
             if len(facts) in lacking and photo.mask is None:
                 photo.mask, photo.facts.has_mask = np.zeros(len(photo.valid), np.uint8), True
             facts.append(photo.facts)
             stores.append(photo.radiance, photo.valid & camera.shown_pixels(size[1], size[0]), photo.mask)
             progress(len(facts), len(cameras))
-        warnings = _judge(capture, facts)
+        warnings = judged(capture, facts)
         if most < max_pixels_per_photo:
             reduced = {"photos": len(cameras), "pixels": most, "limit": memory.most}
             warnings.append(Message("capture.photos_reduced", reduced))
-        cut_out = any(p.cut_out for p in facts)
-        masked = use_masks and all(p.has_mask for p in facts)
-        if use_masks and not masked and any(p.has_mask for p in facts):
-            missing = [v.name for v, p in zip(capture.views, facts, strict=True) if not p.has_mask]
-            warnings.append(Message("capture.masks_missing", {"count": len(missing), "names": missing}))
-        if cut_out and not masked:
-            warnings.append(Message("capture.cut_outs_need_masks"))
-        if masked and not any(p.covered for p in facts):
-            raise CaptureError(
-                "the masks are empty: no pixel belongs to the object",
-                "Check mask_path and the masks' polarity (white is object), or the photos' alpha (0 is not the object).",
-            )
-        if lacking:
-            names = [capture.views[i].name for i in lacking]
-            warnings.append(Message("capture.masks_lacking", {"count": len(names), "names": names}))
-        unknown = [i for i, p in enumerate(facts) if masked and not p.covered and _sees_center(capture, cameras[i])]
-        full = _full(facts) if masked and not cut_out else []
-        if full:
-            names = [capture.views[i].name for i in full]
-            warnings.append(Message("capture.masks_full", {"count": len(full), "names": names}))
-        empty = [i for i in unknown if i not in lacking]
-        if empty:
-            names = [capture.views[i].name for i in empty]
-            warnings.append(Message("capture.masks_empty", {"count": len(empty), "names": names}))
+        cut_out, masks = any(p.cut_out for p in facts), judged_masks(capture, facts, lacking, use_masks)
+        warnings += masks.warnings
         intrinsics = [(c.fl_x / f, c.fl_y / f, c.cx / f, c.cy / f) for c, f in zip(cameras, factors, strict=True)]
         origins = [(c.position - capture.object_center) / capture.object_radius for c in cameras]
 
@@ -296,15 +265,15 @@ class PixelRays:
 
         nothing = PixelSet.of(torch.zeros(0, dtype=torch.int64, device=device))
         radiance, valid, mask = stores.finished()
-        for i in {*unknown, *lacking, *full}:  # where the object is in such a photo is not known
+        for i in masks.unusable:
             valid[offset[i] : offset[i + 1]] = False
         rays = cls(
             radiance=radiance,
             valid=valid,
-            mask=mask if masked else None,
+            mask=mask if masks.usable else None,
             offset=offset,
             size=sizes,
-            background=not (cut_out and masked),
+            background=not (cut_out and masks.usable),
             warnings=warnings,
             sphere=nothing,
             outside=nothing,
@@ -351,167 +320,8 @@ class PixelRays:
             )
 
 
-@dataclass
-class _Facts:
-    repaired: dict[str, int]
-    """Numbers of pixels in the file that are not finite ("bad"), that have a negative channel ("negative"), and that have a
-    channel above MAXIMUM_RADIANCE ("blinding")"""
-    empty: bool
-    """No pixel is left that can be used, and some pixels are not finite."""
-    brightest: float
-    cut_out: bool
-    has_mask: bool
-    covered: float
-    """The part of the photo that the mask shows as the object, 0 .. 1"""
-
-
-@dataclass
-class _Photo:
-    radiance: np.ndarray
-    """[h * w, 3] float32, linear, downscaled"""
-    valid: np.ndarray
-    """[h * w] bool"""
-    mask: np.ndarray | None
-    """[h * w] uint8"""
-    facts: _Facts
-
-
 def _lenses(cameras: list[Camera], device: torch.device | str) -> Lenses | None:
     """The lenses of the cameras in single precision. None if none of them distorts."""
     if all(camera.lens.is_pinhole for camera in cameras):
         return None
     return Lenses.of([camera.lens for camera in cameras], device, torch.float32)
-
-
-def _loaded(capture: Capture, factors: list[int], use_masks: bool) -> Iterator[_Photo]:
-    """The photos in their order. As many are decoded at the same time as `_DECODED_PIXELS` allows."""
-    largest = max(v.camera.height * v.camera.width for v in capture.views)
-    workers = max(1, min(torch.get_num_threads(), _DECODED_PIXELS // largest))
-    with ThreadPoolExecutor(workers) as pool:
-        ahead: deque = deque()
-        try:
-            for i, factor in enumerate(factors):
-                ahead.append(pool.submit(_load, capture, i, factor, use_masks))
-                if len(ahead) > 2 * workers:
-                    yield _wait(ahead.popleft())
-            while ahead:
-                yield _wait(ahead.popleft())
-        finally:
-            for waiting in ahead:
-                waiting.cancel()
-
-
-@profiled("decode photos")
-def _wait(future: Future) -> _Photo:
-    return future.result()
-
-
-def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
-    """Photo `i`, made linear and downscaled by `factor`, strip by strip."""
-    photo = capture.open_photo(i)
-    has_alpha = photo.has_alpha  # looks at every pixel
-    cut_out = has_alpha and photo.least_alpha() < 0.5
-    coverage = capture.open_mask(i) if use_masks else None
-    usable = capture.open_usable(i) if use_masks else None
-    height, width = photo.size
-    rows = factor * max(1, _STRIP_PIXELS // (factor * width))
-    strips, repaired, brightest = [], dict.fromkeys(("bad", "negative", "blinding"), 0), 0.0
-    for start in range(0, height, rows):
-        raw, alpha = photo.rows(start, start + rows)
-        if photo.is_float:
-            finite = np.isfinite(raw).all(-1)
-            repaired["bad"] += int((~finite).sum())
-            repaired["negative"] += int((finite & (raw < 0).any(-1)).sum())
-            repaired["blinding"] += int((finite & (raw > MAXIMUM_RADIANCE).any(-1)).sum())
-            radiance = np.clip(raw, 0, MAXIMUM_RADIANCE)
-            radiance[~finite] = 0
-        else:
-            finite, radiance = np.ones(raw.shape[:2], bool), raw
-        brightest = max(brightest, float(radiance.max(initial=0.0)))
-        if cut_out and alpha is not None:
-            # At the edge of a cut-out, a pixel mixes the object with surroundings that were removed: its radiance is
-            # neither the object's nor the surroundings'.
-            finite &= (alpha > 0.98) | (alpha < 0.02)
-            radiance[alpha < 0.02] = 0
-        if usable is not None:
-            finite &= usable.rows(start, start + rows) > 0.5
-        if finite.all():
-            radiance = box(radiance, factor)
-            valid = np.ones(radiance.shape[:2], bool)
-        else:
-            weight = box(finite.astype(np.float32)[..., None], factor)
-            radiance = box(radiance * finite[..., None], factor) / np.maximum(weight, 1e-6)
-            valid = weight[..., 0] >= 0.5
-            radiance[~valid] = 0
-        mask = coverage.rows(start, start + rows) if coverage is not None else alpha if has_alpha else None
-        if not use_masks or mask is None:
-            mask = None
-        else:
-            mask = np.round(255 * box(mask[..., None], factor)[..., 0]).astype(np.uint8).ravel()
-        strips.append((radiance.reshape(-1, 3), valid.ravel(), mask))
-    radiance, valid = (np.concatenate([s[k] for s in strips]) for k in (0, 1))
-    mask = None if strips[0][2] is None else np.concatenate([s[2] for s in strips])
-    facts = _Facts(
-        repaired,
-        bool(repaired["bad"]) and not valid.any(),
-        brightest,
-        cut_out,
-        mask is not None,
-        0.0 if mask is None else float((mask > 127).mean()),
-    )
-    if brightest <= _BLACK:
-        valid[:] = False
-    return _Photo(radiance, valid, mask, facts)
-
-
-def _full(facts: list[_Facts]) -> list[int]:
-    """The photos whose masks are white everywhere, if those of others show an object: what made the masks failed there."""
-    full = [i for i, p in enumerate(facts) if p.covered >= 0.999]
-    others = [p.covered for p in facts if p.covered < 0.999]
-    return full if 2 * len(full) <= len(facts) and len(others) >= MINIMUM_VIEWS and np.median(others) < 0.5 else []
-
-
-def _lacking(capture: Capture) -> list[int]:
-    """The photos that have no mask file, if nearly all others have one. Many such photos would be too many to leave out."""
-    if capture.mask_reading.meaning not in (MaskMeaning.OBJECT, MaskMeaning.BACKGROUND):
-        return []
-    without = [i for i, view in enumerate(capture.views) if view.mask_path is None]
-    enough = len(without) <= MOST_LACKING * len(capture.views) and len(capture.views) - len(without) >= MINIMUM_VIEWS
-    return without if enough else []
-
-
-def _sees_center(capture: Capture, camera: Camera) -> bool:
-    """Whether the middle of the object's sphere lies in the camera's picture."""
-    return bool(camera.side_distances(capture.object_center).min() > 0)
-
-
-def _judge(capture: Capture, photos: list[_Facts]) -> list[Message]:
-    """Warnings about the pixels. Raises CaptureError for a photo without finite pixels, or when every photo is black."""
-    names = [v.image_path.name for v in capture.views]
-    warnings: list[Message] = []
-    for name, photo in zip(names, photos, strict=True):
-        if photo.empty:
-            raise CaptureError(
-                f"{name} holds no finite pixel (all NaN or Inf)",
-                "Render or export it again, or take its frame out of transforms.json.",
-            )
-    for kind in ("bad", "negative", "blinding"):
-        found = [(n, p.repaired[kind]) for n, p in zip(names, photos, strict=True) if p.repaired[kind]]
-        if found:
-            warnings.append(_repair(kind, sum(count for _, count in found), [n for n, _ in found]))
-    black = [n for n, p in zip(names, photos, strict=True) if p.brightest <= _BLACK]
-    if len(black) == len(photos):
-        raise CaptureError("all photos are black", "Check the exposure, and that the files hold color in R, G, B.")
-    if black:
-        warnings.append(Message("capture.photos_black", {"count": len(black), "names": black}))
-    return warnings
-
-
-def _repair(kind: str, pixels: int, names: list[str]) -> Message:
-    """The warning for one kind of `_Facts.repaired`: the number of pixels, and the names of the photos that have them."""
-    if kind == "bad":
-        return Message("capture.pixels_not_finite", {"pixels": pixels, "photos": len(names), "names": names})
-    if kind == "negative":
-        return Message("capture.pixels_negative", {"pixels": pixels, "photos": len(names), "names": names})
-    limit = MAXIMUM_RADIANCE
-    return Message("capture.pixels_too_bright", {"pixels": pixels, "photos": len(names), "names": names, "limit": limit})
