@@ -14,7 +14,7 @@ import torch
 
 from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.photos.photo_files import open_image
-from blender_nep.capture.rays import pixel_rays as rays_module
+from blender_nep.capture.rays import decoded_photos
 from blender_nep.capture.rays.pixel_set import PixelSet
 from blender_nep.capture.rays.pixel_store import FileStore, PixelMemory
 from blender_nep.errors import OutputError
@@ -80,7 +80,7 @@ def test_strips_give_what_the_whole_photo_gives(make_capture, monkeypatch, suffi
     tiny = make_capture(views=4, size=31, suffix=suffix, alpha=alpha)
     capture = load_capture(tiny.folder)
     whole = PixelRays.from_capture(capture, 100, True)
-    monkeypatch.setattr(rays_module, "_STRIP_PIXELS", 1)
+    monkeypatch.setattr(decoded_photos, "_STRIP_PIXELS", 1)
     strips = PixelRays.from_capture(capture, 100, True)
     assert whole.size == strips.size == [(7, 7)] * 4
     assert torch.equal(whole.radiance, strips.radiance) and torch.equal(whole.valid, strips.valid)
@@ -113,7 +113,7 @@ def test_no_more_photos_are_decoded_at_once_than_memory_allows(make_capture, mon
                 running -= 1
 
     monkeypatch.setattr(Capture, "open_photo", counting)
-    monkeypatch.setattr(rays_module, "_DECODED_PIXELS", most_pixels)
+    monkeypatch.setattr(decoded_photos, "_DECODED_PIXELS", most_pixels)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
     assert PixelRays.from_capture(capture, 100, False).views == 8 and most == at_once
 
@@ -130,7 +130,7 @@ def test_a_job_reports_the_photos_read_and_stops_between_two(make_capture, tmp_p
         return open_photo(*arguments)
 
     monkeypatch.setattr(Capture, "open_photo", opening)
-    monkeypatch.setattr(rays_module, "_DECODED_PIXELS", 1)
+    monkeypatch.setattr(decoded_photos, "_DECODED_PIXELS", 1)
     protocol = io.StringIO()
     settings = job.Settings(capture, out, preset("preview"))
     assert job.run(settings, Events(protocol, None, clock=iter(range(1000)).__next__), stop) == 7
