@@ -14,7 +14,7 @@ import torch
 
 from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.photos.photo_files import open_image
-from blender_nep.capture.rays import decoded_photos
+from blender_nep.capture.rays import decoded_photos, pixel_rays
 from blender_nep.capture.rays.pixel_set import PixelSet
 from blender_nep.capture.rays.pixel_store import FileStore, PixelMemory
 from blender_nep.errors import OutputError
@@ -80,7 +80,8 @@ def test_strips_give_what_the_whole_photo_gives(make_capture, monkeypatch, suffi
     tiny = make_capture(views=4, size=31, suffix=suffix, alpha=alpha)
     capture = load_capture(tiny.folder)
     whole = PixelRays.from_capture(capture, 100, True)
-    monkeypatch.setattr(decoded_photos, "_STRIP_PIXELS", 1)
+    for module in (decoded_photos, pixel_rays):
+        monkeypatch.setattr(module, "STRIP_PIXELS", 1)
     strips = PixelRays.from_capture(capture, 100, True)
     assert whole.size == strips.size == [(7, 7)] * 4
     assert torch.equal(whole.radiance, strips.radiance) and torch.equal(whole.valid, strips.valid)

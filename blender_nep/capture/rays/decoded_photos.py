@@ -20,7 +20,7 @@ MAXIMUM_RADIANCE = 6e4
 """Larger radiance is clipped to this value: the largest half float is 65504."""
 _BLACK = 1e-6
 """A photo without a brighter value counts as black."""
-_STRIP_PIXELS = 1 << 18
+STRIP_PIXELS = 1 << 18
 """Pixels that are handled at a time; this many fit into the processor's cache."""
 _DECODED_PIXELS = 50_000_000
 """Pixels of all photos that are decoded at the same time. A photo with more pixels is decoded alone."""
@@ -86,7 +86,7 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> DecodedPhot
     coverage = capture.open_mask(i) if use_masks else None
     usable = capture.open_usable(i) if use_masks else None
     height, width = photo.size
-    rows = factor * max(1, _STRIP_PIXELS // (factor * width))
+    rows = factor * max(1, STRIP_PIXELS // (factor * width))
     strips, repaired, brightest = [], dict.fromkeys(("bad", "negative", "blinding"), 0), 0.0
     for start in range(0, height, rows):
         raw, alpha = photo.rows(start, start + rows)

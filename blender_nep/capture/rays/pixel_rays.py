@@ -14,7 +14,7 @@ from torch import Tensor
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lenses
 from blender_nep.capture.capture import Capture
-from blender_nep.capture.rays.decoded_photos import PhotoFacts, decoded, judged
+from blender_nep.capture.rays.decoded_photos import STRIP_PIXELS, PhotoFacts, decoded, judged
 from blender_nep.capture.rays.downscaling import factor_for
 from blender_nep.capture.rays.judged_masks import judged_masks, photos_without_masks
 from blender_nep.capture.rays.pixel_set import GrowingPixelSet, PixelSet
@@ -30,8 +30,6 @@ from blender_nep.profiling import profiled
 BRIGHTEST_CLIPPED, SATURATED = 1.001, 0.97
 """If no pixel is brighter than `BRIGHTEST_CLIPPED`, the files cannot store more than 1. Then a channel above `SATURATED` may
 be clipped: the true radiance is at least that value."""
-_STRIP_PIXELS = 1 << 18
-"""Pixels that are handled at a time; this many fit into the processor's cache."""
 
 
 @dataclass
@@ -292,8 +290,8 @@ class PixelRays:
         """Set `sphere` and `outside`: valid pixels whose rays meet the unit sphere, and the others. Raises BoundsError."""
         device = self._start.device
         sphere, outside, seeing, showing = GrowingPixelSet(device), GrowingPixelSet(device), set(), set()
-        for start in range(0, self.count, _STRIP_PIXELS):
-            index = torch.arange(start, min(start + _STRIP_PIXELS, self.count), device=device)
+        for start in range(0, self.count, STRIP_PIXELS):
+            index = torch.arange(start, min(start + STRIP_PIXELS, self.count), device=device)
             origin, direction, _ = self.rays(index)
             along = -(origin * direction).sum(-1)
             hits = (along > 0) & ((origin + along[:, None] * direction).square().sum(-1) < 1)
