@@ -26,7 +26,7 @@ from blender_nep.fields.environment.field import EnvironmentField
 from blender_nep.fields.object_pixels import held_out
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.uv_raster import look_up
-from blender_nep.materials.samples.photo_samples import edges_and_reflection_variance
+from blender_nep.materials.samples.photo_samples import beside_surface, edges_and_reflection_variance
 from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, specular_cones
@@ -47,8 +47,9 @@ _PIXELS = 1500
 """Most pixels of the object that are scored, and most of the surroundings. More hardly change a score."""
 _TRIED = 5
 """So many times as many pixels are tried: the object may cover a small part of its sphere."""
-_SPECULAR, _DIFFUSE = 8, 16
-"""Cones of the two lobes at a point that a pixel shows"""
+_SPECULAR, _DIFFUSE = 64, 64
+"""Cones of the two lobes at a point that a pixel shows. With 8 and 16, small windows in a rough lobe made the asset noisy:
+the score of a real brass blowtorch was 0.8 dB and 0.5 degrees worse than without noise."""
 OF_HITS = PlenopticSettings(levels=2, diffuse=6, specular=2)
 """Cones at a point that the object mirrors in itself. What such a point reflects of the object is left out."""
 _OBJECT, _BESIDE = 250, 5
@@ -138,6 +139,8 @@ def explain_photos(
     edge, variance = edges_and_reflection_variance(
         f_p.tracer, f_p.normals, origins, directions, distance, half_angle, normals, cosine, _flags(chosen, hit)
     )
+    missing = chosen[~hit[chosen]]
+    edge[missing] = beside_surface(f_p.tracer, origins[missing], directions[missing], half_angle[missing])
     chosen = chosen[~edge[chosen]]  # a pixel at an edge mixes what is on both sides
     seen = chosen[hit[chosen]]
     generator = torch.Generator().manual_seed(seed)

@@ -7,20 +7,22 @@ import numpy as np
 import pytest
 import torch
 
+from blender_nep.capture.rays.pixel_width import pixel_width
 from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.materials.explained_photos import OF_HITS, NoRadiance, TexturedSurface, explain_photos
 from blender_nep.shading.plenoptic import PlenopticFunction
-from support.lit_ball import AnalyticEnvironment, constant, make_photos, unwrapped_ball
+from support.lit_ball import HALF_ANGLE, RADIUS, AnalyticEnvironment, constant, make_photos, unwrapped_ball
 
 
 class Light(AnalyticEnvironment):
-    """The same light, which a camera sees as black."""
+    """The same light. A camera sees it as a radiance of `behind` everywhere."""
 
     preset = SimpleNamespace(camera_near=0.1)
+    behind = 0.0
 
     def render(self, origins, directions, t_near, t_far, half_angle):
-        return SimpleNamespace(radiance=torch.zeros_like(origins))
+        return SimpleNamespace(radiance=torch.full_like(origins, self.behind))
 
 
 ALBEDO, ROUGHNESS = np.float32([0.8, 0.5, 0.3]), 0.3
@@ -44,10 +46,10 @@ def score(photos):
     light = Light()
     f_p = PlenopticFunction(tracer, ball.normals, light, NoRadiance(), OF_HITS, "cpu")
 
-    def of(albedo=ALBEDO, roughness=ROUGHNESS, metallic=1.0, every=1, shown=photos, own_gains=True, **of_camera):
+    def of(albedo=ALBEDO, roughness=ROUGHNESS, metallic=1.0, every=1, shown=photos, own_gains=True, behind=0.0, **of_camera):
         flat = np.ones((8, 8), np.float32)
         textures = {"albedo": flat[..., None] * albedo, "roughness": roughness * flat, "metallic": metallic * flat}
-        asset = TexturedSurface(ball, textures)
+        asset, light.behind = TexturedSurface(ball, textures), behind
         found = explain_photos(asset, f_p, light, shown, every, own_gains, 0, **of_camera)
         assert found.surroundings is None  # the photos are cut-outs
         return found.object
@@ -111,3 +113,25 @@ def test_photos_that_hardly_show_the_object_have_no_score(score, photos):
     other = replace(photos)
     other.background, other.sphere = False, other.sphere[:0]
     assert score(shown=other) is None
+
+
+def test_a_rough_metal_under_a_small_lamp_has_no_noise(score):
+    """A small lamp in a wide lobe: few cones would miss it at some points and meet it at others."""
+    rough = make_photos(constant(tuple(ALBEDO.tolist()), 0.6, 1.0), views=6)
+    rough.background = False
+    assert score(roughness=0.6, shown=rough).psnr > 30
+
+
+def test_a_mask_that_is_a_pixel_too_wide_costs_nothing(score, photos):
+    """Pixels of the mask beside the mesh are at its edge, where no asset is judged. Parts that are missing count."""
+    along = (photos.origin * photos.direction).sum(1)
+    beside = (photos.origin.square().sum(1) - along**2).clamp_min(0).sqrt() - RADIUS
+    pixel = pixel_width(HALF_ANGLE) * photos.origin.norm(dim=1)
+
+    def found(pixels):
+        shown = replace(photos)
+        shown.background, shown.mask = False, torch.where(beside < pixels * pixel, 255, 0).to(torch.uint8)
+        return score(shown=shown, behind=1.0)
+
+    assert found(1.0).psnr == pytest.approx(found(0.0).psnr, abs=0.2)
+    assert found(6.0).psnr < found(0.0).psnr - 5

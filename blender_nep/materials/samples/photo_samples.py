@@ -155,15 +155,11 @@ def edges_and_reflection_variance(
     """
     rows = np.flatnonzero(on)
     edge, variance = np.zeros(len(o), bool), np.zeros(len(o))
-    side = np.cross(d[rows], np.where(np.abs(d[rows, 2:]) < 0.9, [[0, 0, 1.0]], [[1.0, 0, 0]]))
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
     reach = _EDGE_PIXELS * pixel_width(angle[rows, None])
     own = _mirrored(d[rows], smooth[rows])
-    for along in (side, np.cross(side, d[rows])):
+    for opposite in _neighbors(d[rows], reach):
         mirrored = []
-        for step in (along, -along):
-            neighbor = d[rows] + reach * step
-            neighbor /= np.linalg.norm(neighbor, axis=1, keepdims=True)
+        for neighbor in opposite:
             near, face, barycentric = tracer.intersect(o[rows], neighbor)
             allowed = 4 * reach[:, 0] * t[rows] / np.maximum(cosine[rows], 0.05)
             edge[rows] |= ~(np.abs(near - t[rows]) < allowed)
@@ -173,6 +169,32 @@ def edges_and_reflection_variance(
         change = np.minimum(between / 2, _MOST_UNEVEN * np.minimum(*to_each)) / _EDGE_PIXELS
         variance[rows] += change**2 / 24
     return edge, variance
+
+
+def beside_surface(tracer: RayTracer, o: np.ndarray, d: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Which pixels [n] bool that miss the mesh are at its edge: one of their neighbors meets it.
+
+    o, d [n, 3] are the origins and unit directions of their rays, angle [n] their half-angles in radians.
+    """
+    beside = np.zeros(len(o), bool)
+    for opposite in _neighbors(d, _EDGE_PIXELS * pixel_width(angle[:, None])):
+        for neighbor in opposite:
+            beside |= np.isfinite(tracer.intersect(o, neighbor)[0])
+    return beside
+
+
+def _neighbors(d: np.ndarray, reach: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The directions of two opposite neighbors [n, 3] along each of two axes of the pixels with directions d [n, 3].
+
+    reach [n, 1] is the tangent of the angle to them.
+    """
+    side = np.cross(d, np.where(np.abs(d[:, 2:]) < 0.9, [[0, 0, 1.0]], [[1.0, 0, 0]]))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    return [(_normalized(d + reach * along), _normalized(d - reach * along)) for along in (side, np.cross(side, d))]
+
+
+def _normalized(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def _mirrored(direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
