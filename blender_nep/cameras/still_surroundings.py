@@ -62,12 +62,15 @@ class StillSurroundings:
     """What the photos of a folder show that stands still."""
 
     share: float
-    """Share of the photos whose surroundings stand still; 0 where these drift, because the photographer walked"""
+    """Share of the photos whose surroundings stand still; 0 where these drift"""
     shifted: bool
     """Whether the surroundings of some photos are shifted, or the photos have several sizes"""
     moving: list[np.ndarray] | None
     """For each photo, where its copy [h, w] bool shows what turns. None: that is not known, because photos are shifted, or
     because it is no turntable"""
+    drift: bool = False
+    """Whether most surroundings are the same, but drift from photo to photo: after a walk before a far background, and on a
+    turntable where each photo was cropped around the object"""
 
     @property
     def turntable(self) -> bool:
@@ -106,7 +109,7 @@ def look_for_still_surroundings(
     still = (agreeing >= 2) & (agreeing >= SAME_AS * compared)
     share = float(still.mean())
     if _drift(np.array(shifts, float).reshape(-1, 3), count):
-        return StillSurroundings(0.0, True, None)
+        return StillSurroundings(0.0, True, None, share >= LEAST_STILL)
     shifted = (
         any(max(abs(rows), abs(columns)) > 1 for _, rows, columns in shifts) or len({copy.shape for copy in copies}) > 1
     )

@@ -17,8 +17,6 @@ from blender_nep.tone_mapping import tone_map
 
 _VIEWS, _ROWS = 40, 200
 """Largest number of photos that are compared, and the rows and columns to which they are resized."""
-_SMOOTH = 10.0
-"""Standard deviation, in rows of the small photos, of the blur that `SmallPhotos.details` takes away."""
 _FACING = 0.15
 """A small photo shows a surface if the cosine of the viewing angle is above this. At smaller ones, the point falls elsewhere
 in the photo if the surface is a little higher or lower."""
@@ -43,13 +41,15 @@ class SmallPhotos:
         """[views, 3] positions of the cameras."""
         return torch.stack([self.rays.camera(view)[0] for view in self.views])
 
-    def details(self) -> SmallPhotos:
+    def details(self, fine: float) -> SmallPhotos:
         """The same photos without what changes slowly over them. What is left has both signs.
+
+        fine: the standard deviation, in rows of the small photos, of the blur that is taken away.
 
         A glossy table mirrors other surroundings for each camera. That changes slowly, and the table's pattern does not.
         """
         other = copy.copy(self)
-        blurred = gaussian_filter(self.photos.cpu().numpy(), (0, 0, _SMOOTH, _SMOOTH), mode="nearest")
+        blurred = gaussian_filter(self.photos.cpu().numpy(), (0, 0, fine, fine), mode="nearest")
         other.photos = self.photos - torch.from_numpy(blurred).to(self.photos.device)
         return other
 

@@ -21,8 +21,8 @@ from blender_nep.evidence.occluders import SdfOccluder
 from blender_nep.evidence.sdf_grid import SdfGrid, cell_centers
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.profiling import profiled
-from blender_nep.support.in_photos import REACH, ring
-from blender_nep.support.plane import Support
+from blender_nep.support.in_photos import REACH
+from blender_nep.support.plane import Support, ring
 from blender_nep.support.texture import PlaneTexture
 from blender_nep.tone_mapping import inverse_tone_map
 

@@ -5,8 +5,8 @@ same color in all photos that show it; a point of a wrong plane falls on other p
 spread of the colors over the photos has a sharp minimum at the true plane (plane sweep, Collins 1996). The direction of the
 normal follows from the cameras: people and tripods hold cameras upright. Then height and tilt are refined.
 
-A glossy table has other colors in each photo, because it mirrors the surroundings. Where no plane is found by the colors,
-the details of the photos are compared.
+A glossy table has other colors in each photo, because it mirrors the surroundings, and so has a carpet in photos of a day
+whose light changes. Where no plane is found by the colors, the details of the photos are compared (`by_details`).
 
 A plate may end in the sphere. Where nothing is found beside the sphere, the colors inside the sphere are compared. There the
 object hides the plane in many photos, so the share of the photos that agree counts.
@@ -26,7 +26,8 @@ from blender_nep.evidence.agreement import majority, spread, views_that_show
 from blender_nep.evidence.sdf_grid import cell_centers
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.profiling import profiled
-from blender_nep.support.plane import Support
+from blender_nep.support.by_details import plane_by_details
+from blender_nep.support.plane import Support, ring
 
 STEP = 0.025
 """Step of the sweep over heights, in object radii."""
@@ -42,8 +43,7 @@ TILT_GAIN = 0.97
 """By this factor the spread must fall before the plane is tilted against the upward direction of the cameras."""
 LEAST_CONTRAST = 1.3
 """By this factor the spread of the colors at the minimum must be below the spread REACH above and below it. Measured: 2.6
-for a patterned table; at most 1.04 for seven objects without one, with the photos from above only. By the photos' details:
-1.32 for a glossy patterned table, at most 1.04 for the same seven, 1.15 at a wrong height over a plate."""
+for a patterned table; at most 1.04 for seven objects without one, with the photos from above only."""
 REACH = 0.08
 """A plane is compared with what lies so far above and below it, in object radii."""
 INNER_CONTRAST = 1.1
@@ -51,7 +51,7 @@ INNER_CONTRAST = 1.1
 below the plane. Measured: 1.16 for a patterned plate that ends in the sphere; at most 1.03 for nine objects without a
 support, with the photos from above only, and 1.06 at a wrong height over a glossy plate."""
 _NOISE = 0.002
-"""A spread below this is noise, as in the details of a plain wall."""
+"""A spread below this is noise, as on a plain wall."""
 _LEAST_VIEWS = 4
 """A point is compared if at least so many photos show it, and at least a quarter of all."""
 _SIDE = 50
@@ -72,7 +72,7 @@ def support_in_photos(rays: PixelRays) -> Support | None:
         return None
     photos = SmallPhotos(rays)
     planes = [Support(up, float(height)) for height in heights]
-    support = _outer_plane(photos, planes) or _outer_plane(photos.details(), planes)
+    support = _outer_plane(photos, planes) or plane_by_details(photos, planes)
     if support is None:
         return _inner_plane(photos, planes)
     positions = np.stack([rays.camera(view)[0].double().cpu().numpy() for view in range(rays.views)])
@@ -153,16 +153,6 @@ def _contrast(photos: SmallPhotos, plane: Support, width: float) -> float:
         for rise in (-REACH, 0.0, REACH)
     )
     return min(below, above) / max(here, _NOISE)
-
-
-def ring(support: Support, inner: float, width: float, count: int) -> np.ndarray:
-    """Evenly spread points [count, 3] of the plane between the radii `inner` and `inner` + `width`: a Fibonacci spiral."""
-    k = np.arange(count) + 0.5
-    radius = np.sqrt(inner**2 + ((inner + width) ** 2 - inner**2) * k / count)
-    angle = np.pi * (1 + np.sqrt(5)) * k
-    across, along = support.axes()
-    points = radius[:, None] * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * along)
-    return points + support.height * np.asarray(support.normal)
 
 
 def _refined(photos: SmallPhotos, start: Support, width: float) -> Support:

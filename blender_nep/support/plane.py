@@ -45,3 +45,13 @@ class Support:
     def from_state(cls, state: dict) -> Support:
         """The inverse of `state`."""
         return cls(np.array(state["normal"]), state["height"])
+
+
+def ring(support: Support, inner: float, width: float, count: int) -> np.ndarray:
+    """Evenly spread points [count, 3] of the plane between the radii `inner` and `inner` + `width`: a Fibonacci spiral."""
+    k = np.arange(count) + 0.5
+    radius = np.sqrt(inner**2 + ((inner + width) ** 2 - inner**2) * k / count)
+    angle = np.pi * (1 + np.sqrt(5)) * k
+    across, along = support.axes()
+    points = radius[:, None] * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * along)
+    return points + support.height * np.asarray(support.normal)

@@ -11,12 +11,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
+
 from blender_nep.cameras.found_cameras import FoundCameras, choose, messages
 from blender_nep.cameras.improved_cameras import take_over
 from blender_nep.cameras.object_sphere import ObjectSphere, find_object_sphere
 from blender_nep.cameras.photo_folder import Photo, find_photos, photos_of
 from blender_nep.cameras.still_surroundings import StillSurroundings, look_for_still_surroundings
-from blender_nep.cameras.structure_from_motion import PlacedPhoto, find_groups, stop_if_asked, working_folder
+from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto, find_groups, stop_if_asked, working_folder
 from blender_nep.cameras.video.kept_frames import FOLDER as FRAMES
 from blender_nep.cameras.video.kept_frames import keep_frames
 from blender_nep.cameras.video.named_video import video_of
@@ -40,6 +42,9 @@ _SECONDS = {"photos": 0.1, "features": 2.0, "matches": 4.0, "places": 2.0, "sphe
 """First guess of the seconds that a photo takes in each step"""
 _SURROUNDINGS_SECONDS = 0.1
 """The same for the comparison that tells a turntable"""
+ENOUGH_ON_OBJECT, MUCH_BETTER = 0.9, 0.75
+"""Features on the object alone are taken if they place this share of the photos that all features place, and if their error
+is at most the second number times that of all features."""
 _VIDEO_SECONDS = 0.7
 """The same for a frame that is taken from a video: some 20 others are looked at for it"""
 
@@ -105,16 +110,20 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
             if turned and all(photo.mask is not None for photo in found):
                 masked = True
         if masked is not None:
-            reading, said = read_photo_masks([photo.mask for photo in found if photo.mask is not None])
-            found = [replace(photo, mask_reading=reading) for photo in found]
-            for warning in said:
-                events.warning(warning)
+            found = _with_masks_read(found, events)
         given = None if capture is None else [view.camera for view in capture.views]
         with working_folder() as scratch:
             moving = still.moving if still is not None and masked is None else None
             groups = find_groups(
                 found, scratch, progress, stop, masked=masked, moving=moving, threads=search.threads, given=given
             )
+            if masked is None and still is not None and still.drift and all(photo.mask is not None for photo in found):
+                progress("way", len(groups[0].placed) if groups else 0, len(found))
+                photos, place = _with_masks_read(found, events), scratch / "of_object"
+                place.mkdir()
+                of_object = find_groups(photos, place, progress, stop, masked=True, threads=search.threads)
+                if _agree_better(of_object, groups):
+                    found, groups, masked = photos, of_object, True
             if capture is None:
                 cameras = choose(found, groups)
                 said, warnings = messages(cameras, groups)
@@ -192,6 +201,26 @@ def _write_with_frames(cameras: FoundCameras, folder: Path, scratch: Path) -> No
     except OutputError:
         shutil.rmtree(frames, ignore_errors=True)
         raise
+
+
+def _with_masks_read(photos: list[Photo], events: Events) -> list[Photo]:
+    """The photos with what their masks mean, about which warnings are sent. Raises CaptureError."""
+    reading, said = read_photo_masks([photo.mask for photo in photos if photo.mask is not None])
+    for warning in said:
+        events.warning(warning)
+    return [replace(photo, mask_reading=reading) for photo in photos]
+
+
+def _agree_better(of_object: list[Group], groups: list[Group]) -> bool:
+    """Whether features on the object place about as many photos as all features do, and agree much better.
+
+    After a walk, both agree alike. On a turntable, features on the surroundings contradict those on the object.
+    """
+    if not of_object or not groups:
+        return bool(of_object)
+    placed = [len(found[0].placed) for found in (of_object, groups)]
+    errors = [float(np.median([one.error for one in found[0].placed])) for found in (of_object, groups)]
+    return placed[0] >= ENOUGH_ON_OBJECT * placed[1] and errors[0] <= MUCH_BETTER * errors[1]
 
 
 def _report_surroundings(progress: _Progress, stop: StopRequest, step: int, steps: int) -> None:
