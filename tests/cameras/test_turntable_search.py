@@ -77,6 +77,7 @@ def test_a_walk_before_a_far_background_is_no_turntable(tmp_path, share):
         photo.save(tmp_path / f"{number:02d}.png")
     still = look_for_still_surroundings(find_photos(tmp_path))
     assert still.share == 0 and not still.turntable and still.moving is None
+    assert still.drift or share > 0.4, "photos at both ends show nothing in common"
 
 
 def test_photos_of_a_plain_backdrop_tell_nothing(tmp_path):
@@ -139,6 +140,32 @@ def test_masks_take_the_place_of_what_turns(turned, tmp_path, monkeypatch):
         Image.fromarray(np.uint8(255) * part).save(masked / "masks" / f"{path.stem}.png")
     searched(masked, tmp_path / "out")
     assert asked["masked"] is True and asked["moving"] is None
+
+
+@pytest.mark.parametrize("error_on_object", [0.2, 0.5], ids=["turntable", "walk"])
+def test_drifting_surroundings_are_judged_by_the_masks(turned, tmp_path, monkeypatch, error_on_object):
+    """After a walk, features on the object agree as all features do. On a turntable they agree much better."""
+    folder, cameras, shown = turned
+    (tmp_path / "photos" / "masks").mkdir(parents=True)
+    for path, part in zip(sorted(folder.glob("*.*")), shown, strict=True):
+        shutil.copy(path, tmp_path / "photos")
+        Image.fromarray(np.uint8(255) * part).save(tmp_path / "photos" / "masks" / f"{path.stem}.png")
+    asked, better = [], error_on_object < 0.3
+
+    def groups(photos, scratch, progress, stop, *, masked, **options):
+        asked.append(masked)
+        found, error = (cameras, error_on_object) if masked else (shaken(cameras), 0.56)
+        placed = [PlacedPhoto(*one, 100, error) for one in zip(photos, found, strict=True)]
+        return [Group(placed, np.zeros((1, 3)))]
+
+    drifting = StillSurroundings(0.0, True, None, drift=True)
+    monkeypatch.setattr(camera_search, "find_groups", groups)
+    monkeypatch.setattr(camera_search, "look_for_still_surroundings", lambda photos, report: drifting)
+    assert searched(tmp_path / "photos", tmp_path / "out")[0] == 0
+    assert asked == [None, True]
+    found = [view.camera for view in load_capture(tmp_path / "out", use_masks=False).views]
+    off = errors(found, cameras, printed_turntable.CENTER)
+    assert (off["rotation_deg_largest"] < 0.01) is better
 
 
 def placed_at(cameras, monkeypatch, asked=None):
