@@ -52,9 +52,9 @@ from backend.arguments import path_argument, script_arguments
 from backend.engine.printed_text import one_line
 from backend.scene_io.image_files import write_png, write_whole
 from backend.synthetic_capture import scenes
-from backend.synthetic_capture.exr_channels import write_channels
+from backend.synthetic_capture.files.exr_channels import write_channels
+from backend.synthetic_capture.files.photo_files import BRIGHTNESS, ENDINGS, automatic_gain, gain_for, write_photo
 from backend.synthetic_capture.ground_truth import ViewRenderer
-from backend.synthetic_capture.photo_files import BRIGHTNESS, ENDINGS, automatic_gain, gain_for, write_photo
 from backend.synthetic_capture.photograph.develop_capture import develop_capture
 from backend.synthetic_capture.photograph.effects import (
     DEVELOPMENT,

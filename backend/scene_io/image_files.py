@@ -4,7 +4,7 @@ Blender itself reads every image here and writes the photos of synthetic capture
 
 - `write_png` writes PNG files. On a full disk Blender's own PNG writer leaves half a file and reports success (tried in 4.2,
   4.5, 5.0, 5.2).
-- `synthetic_capture/exr_channels.py` reads the passes of a multilayer OpenEXR file. Blender does not show them to Python.
+- `synthetic_capture/files/exr_channels.py` reads the passes of a multilayer OpenEXR file. Blender hides them from Python.
 
 OpenImageIO's Python module could do both, but an add-on cannot count on it. The bpy wheels of 4.2 and 4.3 do not have it.
 The wheels of 4.4 to 5.2 keep it in a folder outside `sys.path`. Debian's Blender (4.3.2 and 5.2.2) is built without it.

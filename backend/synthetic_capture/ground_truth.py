@@ -10,7 +10,7 @@ from mathutils import Matrix
 
 from ..rendering.cycles_settings import use_cycles
 from ..scene_io.image_files import set_media_type
-from .exr_channels import read_channels
+from .files.exr_channels import read_channels
 from .scenes import GROUND_TRUTH_COLOR, GROUND_TRUTH_VALUES
 
 BOUNCES = 5

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ..scene_io.srgb import linear_to_srgb
-from .exif import FILM_FOCAL_LENGTH
-from .photo_files import BRIGHTNESS, automatic_gain, film_focal_length, write_jpeg
+from .files.exif import FILM_FOCAL_LENGTH
+from .files.photo_files import BRIGHTNESS, automatic_gain, film_focal_length, write_jpeg
 
 
 @dataclass(frozen=True)

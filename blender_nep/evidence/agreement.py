@@ -26,7 +26,7 @@ def views_that_show(colors: Tensor) -> Tensor:
     return torch.isfinite(colors[..., 0]).sum(0)
 
 
-def median_color(colors: Tensor) -> Tensor:
+def median_of_photos(colors: Tensor) -> Tensor:
     """The median color [n, 3] of colors [views, n, 3]; NaN where no photo shows the point."""
     return colors.nanmedian(0).values
 
@@ -44,7 +44,7 @@ def spread(colors: Tensor) -> Tensor:
 
     `difference` takes the mean of the channels first, and then the median over the photos.
     """
-    return (colors - median_color(colors)).abs().nanmedian(0).values.mean(-1)
+    return (colors - median_of_photos(colors)).abs().nanmedian(0).values.mean(-1)
 
 
 class Majority(NamedTuple):

@@ -7,11 +7,10 @@ between, the light that the object reflects to itself is computed again with the
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +20,7 @@ from torch import Tensor
 from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
-from blender_nep.materials.baking import Places, bake, texture_size
+from blender_nep.materials.baking import bake, texture_size
 from blender_nep.materials.camera_response import found_curve, with_light_itself
 from blender_nep.materials.corrections import (
     Correctable,
@@ -30,28 +29,18 @@ from blender_nep.materials.corrections import (
     KeptMaterials,
     groups_of_segments,
 )
-from blender_nep.materials.evidence.residual import Residual
 from blender_nep.materials.labels.blending import BlendedPoints
 from blender_nep.materials.labels.labeled_points import (
     error_of_neighbors,
     labeled_pixels,
     labeled_samples,
-    select_label_pixels,
     surfels,
 )
 from blender_nep.materials.palette.palette import Palette
 from blender_nep.materials.palette.search import PaletteSearch
 from blender_nep.materials.photo_gains import gains_of_photos
-from blender_nep.materials.samples.light_gathering import LitSamples, Observations, gathered_light, with_more_samples
-from blender_nep.materials.segments.varied_materials import (
-    PlacedPixels,
-    VariedMaterials,
-    classes_of_segments,
-    fit_segments,
-    gain_of_segments,
-    gain_of_unseen_light,
-    segments_of,
-)
+from blender_nep.materials.samples.light_gathering import Observations, gathered_light
+from blender_nep.materials.segments.varied_learning import FoundVaried, VariedLearning
 from blender_nep.materials.shown_faces import ShownParts
 from blender_nep.materials.training_progress import TrainingProgress
 from blender_nep.materials.training_report import MaterialReport
@@ -63,15 +52,12 @@ from blender_nep.shading.unseen_light import UnseenLight
 
 if TYPE_CHECKING:
     from blender_nep.fields.environment.field import EnvironmentField
-    from blender_nep.materials.samples.photo_samples import PhotoSamples
     from blender_nep.presets import MaterialPreset
     from blender_nep.scene.scene import Scene
 
 
-_PIXELS_OF_VARIED = 3
-"""An object whose materials vary gets this many times the preset's label pixels. They make its outlines sharp."""
 _TEXELS_OF_VARIED = 2
-"""Its texels are this many times as narrow as those of another object, for the same reason."""
+"""The texels of an object whose materials vary are this many times as narrow as those of another. Its outlines get sharp."""
 _FIRST_TRIALS, _LATER_TRIALS = 6, 1
 """How often a roughness is lowered or raised each time that the unseen light is learned: in the first rounds, and later."""
 
@@ -184,7 +170,9 @@ class _MaterialLearner:
         seen, shares = self.seen, self.found.shares().tolist()
         self.found = self.search.blended(self.found)
         self._finish_report(single, shares)
-        varied = self._varied_materials()
+        learning = VariedLearning(seen, self.preset, self.seed, self.generator, self.report, self.progress)
+        varied = learning.found(self.search, self.found, self.unseen_learned)
+        self.search = self.search if varied is None else varied.search
         self.progress.phase_ended("materials")
         uniform = len(self.found.palette) == 1 and varied is None
         finer = 1 if varied is None else _TEXELS_OF_VARIED
@@ -356,56 +344,7 @@ class _MaterialLearner:
         self._residual()
         self.search = self.search.evenly_weighted()
 
-    def _varied_materials(self) -> tuple[VariedMaterials, LitSamples] | None:
-        """Materials that vary from place to place, if they explain held-out photos much better than the palette does.
-
-        With them come the samples to which they were fitted. The unseen light gets another brightness.
-        """
-        p = self.preset
-        if math.isinf(p.varied_gain) or Residual.name in p.without:  # nothing else tells the materials of segments
-            self._skip(Part.VARIED_MATERIALS, Message("reason.preset"))
-            return None
-        segments = segments_of(self.seen.samples, self.seed)
-        gain = gain_of_segments(self.search, self.found, segments)
-        self.report.varied_gain = round(gain, 4)
-        # Segments that explain hardly more tell no class, where whole materials do not. But tarnish makes a metal vary.
-        metal = self.found.metal if gain < p.varied_gain else None
-        if gain < (p.varied_gain if metal is None else p.varied_gain_of_unclear):
-            self._skip(Part.VARIED_MATERIALS, Message("reason.palette_explains"))
-            return None
-        lit = with_more_samples(
-            self.seen,
-            self.light,
-            self.search.materials_at(self.found),
-            p,
-            self.seed,
-            self.generator,
-            lambda _: self.progress.step(self.progress.done),
-        )
-        segments = segments_of(lit.samples, self.seed, self._label_pixels)
-        label = torch.from_numpy(segments.label).to(self.seen.device)
-        classes = None
-        if metal is not None:
-            position, normal, _ = surfels(lit.samples, self.seen.f_p.tracer, self.seen.surface.normals)
-            classes = classes_of_segments(self.search.metal_at(metal, Places(position, normal)), segments)
-            classes = classes.to(self.seen.device)
-        if self.light.unseen is not None and self.unseen_learned:
-            gain = gain_of_unseen_light(lit, label, segments, p, classes)
-            self.report.unseen_light_gain = round(gain, 3)
-            self.search = self.search.under(self.light.with_unseen(self.light.unseen.scaled(gain)))
-            lit = lit.with_unseen(gain)
-        self.report.samples = len(lit.samples)
-        palette = fit_segments(lit.light, lit.samples.radiance, label, segments, p, classes)
-        self.report.tell_segments(palette)
-        return VariedMaterials(segments, palette), lit
-
-    @cached_property
-    def _label_pixels(self) -> PhotoSamples:
-        """The label pixels of an object whose materials vary. They are selected once."""
-        seen, preset = self.seen, replace(self.preset, label_pixels=_PIXELS_OF_VARIED * self.preset.label_pixels)
-        return select_label_pixels(seen.rays, seen.f_p.tracer, seen.surface.normals, preset, self.seed)
-
-    def _correctable(self, varied: tuple[VariedMaterials, LitSamples] | None) -> Correctable:
+    def _correctable(self, varied: FoundVaried | None) -> Correctable:
         """The materials, and the points of the surface that show them: label pixels, or only the photo samples.
 
         They are label pixels if the light of the samples predicts the light of label pixels.
@@ -423,11 +362,9 @@ class _MaterialLearner:
         if not predicted:
             self._skip(Part.VOTES, Message("reason.light_changes_fast"))
         if varied is not None:
-            materials, lit = varied
-            chosen = self._label_pixels if predicted else lit.samples
-            near = surfels(lit.samples, tracer, normals)
-            pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, near, self.seen.footprint)
-            return CorrectableSegments(lit.light, lit.samples.radiance, materials, groups_of_segments(materials), pixels)
+            lit, groups = varied.lit, groups_of_segments(varied.materials)
+            pixels = varied.placed(self.seen, predicted)
+            return CorrectableSegments(lit.light, lit.samples.radiance, varied.materials, groups, pixels)
         if predicted:
             points = labeled_pixels(
                 found.palette, self.preset, samples, shown, rays, tracer, normals, self.seed, partial(search.excluded, found)

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from blender_nep.evidence.agreement import median_color, views_that_show
+from blender_nep.evidence.agreement import median_of_photos, views_that_show
 from blender_nep.evidence.full_photos import FullPhotos, Sampling
 from blender_nep.evidence.observation import Observation, colors_of, observe
 from blender_nep.evidence.occluders import MeshOccluder
@@ -138,7 +138,7 @@ def _texture_past_object(support: Support, rays: PixelRays, tracer: RayTracer) -
         if sheen is not None:
             colors = colors / sheen.factor(towards)
     known = views_that_show(colors) >= LEAST_PHOTOS
-    color = torch.where(known[:, None], median_color(colors), 0)
+    color = torch.where(known[:, None], median_of_photos(colors), 0)
     size = TEXELS, TEXELS
     return PlaneTexture(support, SIDE * support.radius, color.reshape(*size, 3), known.reshape(size)), sheen
 

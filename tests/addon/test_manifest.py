@@ -98,7 +98,7 @@ def use_extension(archive: str, folder: str) -> None:
     bpy.ops.extensions.package_install_files(filepath=archive, repo="user_default", enable_on_install=True)
     name = "bl_ext.user_default.blender_nep"
     assert name in bpy.context.preferences.addons, "installed, but not enabled"
-    channels = __import__(f"{name}.backend.synthetic_capture.exr_channels", fromlist=["write_channels"])
+    channels = __import__(f"{name}.backend.synthetic_capture.files.exr_channels", fromlist=["write_channels"])
     channels.write_channels(Path(folder) / "image.exr", {c: np.full((2, 4), 0.5, np.float16) for c in "RGB"})
     for operator in (bpy.ops.nep.reconstruct, bpy.ops.nep.cancel):
         assert operator.get_rna_type().description

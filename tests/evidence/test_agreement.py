@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.evidence.agreement import difference, majority, median_color, spread, variation, views_that_show
+from blender_nep.evidence.agreement import difference, majority, median_of_photos, spread, variation, views_that_show
 from blender_nep.evidence.observation import Observation
 
 NAN = torch.nan
@@ -40,14 +40,14 @@ def test_spread_is_by_channel_and_difference_by_photo():
     colors = gray(0.3, 0.3, 0.3)
     for k in range(3):
         colors[k, 0, k] = 0.6
-    median = median_color(colors)
+    median = median_of_photos(colors)
     torch.testing.assert_close(median, torch.full((1, 3), 0.3))
     assert spread(colors).item() == 0 and difference(colors, median).item() == pytest.approx(0.1)
 
 
 def test_photos_that_do_not_show_a_point_do_not_count():
     colors = gray(0.1, 0.2, 0.6, NAN, NAN)
-    median = median_color(colors)
+    median = median_of_photos(colors)
     assert median[0, 0].item() == pytest.approx(0.2) and views_that_show(colors).item() == 3
     assert spread(colors).item() == pytest.approx(0.1) and difference(colors, median).item() == pytest.approx(0.1)
 

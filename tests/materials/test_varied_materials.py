@@ -9,10 +9,10 @@ import torch
 from scipy.spatial import cKDTree
 
 from blender_nep.geometry.uv_raster import rasterize
-from blender_nep.materials import training
 from blender_nep.materials.corrections import Correction, KeptMaterials
 from blender_nep.materials.labels.pixel_votes import Surfels
 from blender_nep.materials.samples.photo_samples import PhotoSamples
+from blender_nep.materials.segments import varied_learning
 from blender_nep.materials.segments.segments import Segments
 from blender_nep.materials.segments.varied_materials import PlacedPixels, classes_of_segments, majority, segments_of
 from support.lit_ball import PRESET, RADIUS, check_kept, learn, make_photos
@@ -109,7 +109,7 @@ def without_metal(ball, photos_of_paints):
         return segments_of(samples, seed, pixels)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "segments_of", watched)
+        patch.setattr(varied_learning, "segments_of", watched)
         result = learn(ball, photos_of_paints, replace(MORE, metallic=(0.0,), most_texels=32, label_pixels=3000))
     return result, colored_by
 
@@ -124,7 +124,7 @@ def test_who_knows_that_nothing_is_metal_decides_for_every_place(without_metal):
 def test_label_pixels_color_the_segments_that_are_kept(without_metal):
     """The first segments only measure the gain; samples are enough for that."""
     _, colored_by = without_metal
-    assert colored_by == [None, training._PIXELS_OF_VARIED * 3000]
+    assert colored_by == [None, varied_learning.PIXELS_OF_VARIED * 3000]
 
 
 def test_pixels_of_a_photo_without_samples_are_left_out():

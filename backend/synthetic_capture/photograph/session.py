@@ -9,7 +9,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...scene_io.image_files import write_whole
-from ..photo_files import BRIGHTNESS, automatic_gain, film_focal_length, gain_for, write_jpeg
+from ..files.photo_files import BRIGHTNESS, automatic_gain, film_focal_length, gain_for, write_jpeg
 from .daylight import Days
 from .development import developed
 from .effects import APERTURE, EXPOSURE, NOISE, PHOTOGRAPHER, TWO_DAYS, Stage, develops, draws

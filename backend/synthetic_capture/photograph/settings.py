@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ..exif import EXPOSURE_TIME, F_NUMBER, FILM_FOCAL_LENGTH, ISO, TAKEN_AT
+from ..files.exif import EXPOSURE_TIME, F_NUMBER, FILM_FOCAL_LENGTH, ISO, TAKEN_AT
 from .development import Look
 from .effects import APERTURE, CURVE, EXPOSURE, NOISE, TWO_DAYS, draws
 

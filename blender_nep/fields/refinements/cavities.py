@@ -22,7 +22,7 @@ from scipy import ndimage
 from torch import Tensor
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
-from blender_nep.evidence.agreement import difference, median_color, views_that_show
+from blender_nep.evidence.agreement import difference, median_of_photos, views_that_show
 from blender_nep.evidence.sdf_grid import SdfGrid, distances_to
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.fields.refinements.refinement import Change
@@ -134,7 +134,7 @@ def _lids(photos: SmallPhotos, sdf: np.ndarray) -> list[_Lid]:
     surface, cameras = grid.surface(), photos.cameras.cpu()
     points, normals = torch.from_numpy(surface.points), surface.normals
     colors = photos.surface_colors(points, torch.from_numpy(normals), shape, inexact=grid.cell)
-    median, known = median_color(colors), views_that_show(colors) >= LEAST_VIEWS
+    median, known = median_of_photos(colors), views_that_show(colors) >= LEAST_VIEWS
     differs = difference(colors, median)
     if not known.any():
         return []
@@ -274,7 +274,7 @@ def _trial(lid: _Lid, photos: SmallPhotos, vessel: np.ndarray) -> _Trial:
     both = torch.isfinite(inside + outside)  # Few photos show the inside. Fewer photos agree better on any colors.
     inside, outside = (torch.where(both, colors, torch.nan) for colors in (inside, outside))
     known = views_that_show(inside) >= LEAST_VIEWS
-    before, after = ((lid.colors[moved] - median_color(colors)).abs().mean(-1)[known] for colors in (outside, inside))
+    before, after = ((lid.colors[moved] - median_of_photos(colors)).abs().mean(-1)[known] for colors in (outside, inside))
     agrees = float(after.mean()) < min(LEAST_GAIN * float(before.mean()), MOST_DIFFERENCE)
     left = lid.difference.clone()
     left[moved.nonzero().squeeze(1)[known]] = after

@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from blender_nep.capture.cameras.upright import upward
 from blender_nep.capture.rays.pixel_rays import PixelRays
-from blender_nep.evidence.agreement import median_color, views_that_show
+from blender_nep.evidence.agreement import median_of_photos, views_that_show
 from blender_nep.evidence.sdf_grid import SdfGrid
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.fields.refinements.hull import start_sdf
@@ -75,7 +75,7 @@ def fine_paint(rays: PixelRays, sdf: np.ndarray) -> float:
     shown = torch.stack([views_that_show(half) >= LEAST_VIEWS for half in halves]).all(0).numpy()
     if shown.sum() < LEAST_PLACES:
         return 0.0
-    medians = np.concatenate([median_color(half).numpy()[shown] for half in halves], 1)
+    medians = np.concatenate([median_of_photos(half).numpy()[shown] for half in halves], 1)
     points, normals = surface.points[shown], surface.normals[shown]
     chosen = slice(None, None, -(-len(points) // MOST_PLACES))
     around = cKDTree(points).query(points[chosen], AROUND)[1]

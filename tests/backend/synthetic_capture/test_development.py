@@ -8,7 +8,7 @@ import pytest
 from PIL import ExifTags, Image
 
 from backend.scene_io.srgb import linear_to_srgb, srgb_to_linear
-from backend.synthetic_capture.exif import exif
+from backend.synthetic_capture.files.exif import exif
 from backend.synthetic_capture.photograph import effects
 from backend.synthetic_capture.photograph.development import (
     FULL_WELL,

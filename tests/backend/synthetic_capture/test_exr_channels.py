@@ -6,7 +6,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from backend.synthetic_capture.exr_channels import read_channels, write_channels
+from backend.synthetic_capture.files.exr_channels import read_channels, write_channels
 
 
 def make_channels() -> dict[str, np.ndarray]:

@@ -191,7 +191,7 @@ def test_a_gain_sets_brightness_and_automatic_exposure_varies():
 
 def check_gains():
     from backend.scene_io.srgb import linear_to_srgb
-    from backend.synthetic_capture.photo_files import automatic_gain, gain_for
+    from backend.synthetic_capture.files.photo_files import automatic_gain, gain_for
 
     picture = np.random.default_rng(0).random((8, 8, 3))
     photos = [scale * picture for scale in (0.1, 0.9, 1.2, 40.0)]
@@ -230,7 +230,7 @@ def radiance() -> np.ndarray:
 
 
 def write(folder):
-    from backend.synthetic_capture.photo_files import ENDINGS, write_photo
+    from backend.synthetic_capture.files.photo_files import ENDINGS, write_photo
 
     for name in PHOTO_FORMATS:
         write_photo(Path(folder) / name / f"photo{ENDINGS[name]}", radiance(), name)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..scene_io.image_files import write_whole
+from ...scene_io.image_files import write_whole
 
 MAGIC = 20000630
 NEITHER_TILED_NOR_DEEP_NOR_MULTIPART = 0x1A00  # these bits of the version must be 0

@@ -9,8 +9,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..scene_io.image_files import write_half_exr, write_png, write_whole
-from ..scene_io.srgb import linear_to_srgb
+from ...scene_io.image_files import write_half_exr, write_png, write_whole
+from ...scene_io.srgb import linear_to_srgb
 from .exif import exif
 
 ENDINGS = {"EXR half linear": ".exr", "PNG 8 bits sRGB": ".png", "PNG 16 bits sRGB": ".png"}
