@@ -136,6 +136,8 @@ MESSAGES = {
     "each other and the photos better then",
     "capture.opengl_axes": "The cameras have OpenGL's axes, although the file says Mitsuba's, and are read so: they fit "
     "each other and the photos better then",
+    "capture.realityscan_angles": "The angles in {file} are not those of RealityScan. They are read so that all cameras look "
+    "at one place, with the tops of the photos up",
     "capture.cameras_of_upright": "The {count:camera is for a photo that EXIF turns|cameras are for photos that EXIF "
     "turns} upright, and {count:was|were} turned to the pixels as they are stored: {names}",
     "capture.brackets": "The {photos} photos seem to be brackets of {size} exposures each, {stops:.1f} stops apart: merge "
@@ -206,6 +208,8 @@ MESSAGES = {
     "capture.photos_black": "{count} {count:photo is|photos are} black and {count:is|are} left out: {names}",
     "capture.photos_reduced": "There are {photos} photos, so each is scaled down to {pixels} pixels",
     "capture.masks_missing": "Masks are not used: {count} {count:photo has|photos have} none ({names})",
+    "capture.alpha_for_mask": "{count} {count:photo has|photos have} no mask, unlike the others. {count:Its|Their} "
+    "transparent pixels tell where the object is ({names})",
     "capture.masks_lacking": "{count} {count:photo|photos} left out: {count:it has|they have} no mask, unlike the others "
     "({names})",
     "capture.masks_empty": "{count} {count:photo|photos} left out: {count:its mask is|their masks are} empty: {names}",
