@@ -233,8 +233,8 @@ WORDS: dict[str, str] = {
     "each other and the photos better then",
     "capture.opengl_axes": "the cameras have OpenGL's axes (y up, looking down -z) although from_mitsuba is true, and are "
     "read so: they fit each other and the photos better then",
-    "capture.realityscan_angles": "the angles in {file} are not those of RealityScan. They are read so that all cameras look "
-    "at one place, with the tops of the photos up",
+    "capture.realityscan_angles": "the angles in {file} are not those of RealityScan. They are read so that all cameras "
+    "look at one place, with the tops of the photos up",
     "capture.cameras_of_upright": "the {count:camera is for a photo that EXIF turns|cameras are for photos that EXIF "
     "turns} upright, and {count:was|were} turned to the pixels as the file stores them: {names}",
     "capture.brackets": "the {photos} photos seem to be brackets of {size} exposures each, {stops:.1f} stops apart: merge "

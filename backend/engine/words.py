@@ -136,8 +136,8 @@ MESSAGES = {
     "each other and the photos better then",
     "capture.opengl_axes": "The cameras have OpenGL's axes, although the file says Mitsuba's, and are read so: they fit "
     "each other and the photos better then",
-    "capture.realityscan_angles": "The angles in {file} are not those of RealityScan. They are read so that all cameras look "
-    "at one place, with the tops of the photos up",
+    "capture.realityscan_angles": "The angles in {file} are not those of RealityScan. They are read so that all cameras "
+    "look at one place, with the tops of the photos up",
     "capture.cameras_of_upright": "The {count:camera is for a photo that EXIF turns|cameras are for photos that EXIF "
     "turns} upright, and {count:was|were} turned to the pixels as they are stored: {names}",
     "capture.brackets": "The {photos} photos seem to be brackets of {size} exposures each, {stops:.1f} stops apart: merge "

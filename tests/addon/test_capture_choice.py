@@ -62,6 +62,13 @@ def check_choice(folder):
     fails(lambda: choose(directory=str(folder / "package" / "none")), "neither photos nor a finished result")
     for given in ({"directory": str(folder / "capture" / "images")}, {"filepath": str(folder / "capture/transforms.json")}):
         assert choose(**given) == {"FINISHED"} and chosen() == (str(folder / "capture"), str(folder / "capture_result"))
+    settings.output = settings.capture = ""
+    bpy.ops.ed.undo_push(message="before")
+    choose("EXEC_DEFAULT", True, directory=str(folder / "capture"))
+    bpy.ops.object.camera_add("EXEC_DEFAULT", True)
+    bpy.ops.ed.undo()
+    settings = bpy.context.scene.nep
+    assert settings.capture == str(folder / "capture"), "the next step alone is undone"
     correcting_engine.make_asset(folder / "asset")
     assert choose(filepath=str(folder / "asset" / "report.json")) == {"FINISHED"}
     assert "asset" in bpy.data.objects and settings.capture == str(folder / "capture")

@@ -301,7 +301,7 @@ def test_masks_that_are_missing_end_nothing_that_ignores_them(ball):
 
 @pytest.mark.parametrize("inverted", [False, True], ids=["cut-out", "inverted"])
 def test_a_cut_out_among_photos_with_masks_is_its_own_mask(ball, inverted):
-    """What was cut away is not learned as black, and the other photos still show the surroundings. Inverted alpha is no mask."""
+    """What was cut away is not learned as black, and the other photos show the surroundings. Inverted alpha is no mask."""
     expected = truth(ball)
     (ball.folder / "masks/002.png").unlink()
     path = ball.folder / "images/002.png"

@@ -72,7 +72,7 @@ def check_exposure(folder, color_space):
 
 
 def glowing_card(bpy):
-    """A card that is gray by its own light and reflects nothing, on the left of a camera at the origin that looks along -Z."""
+    """A card that shines gray and reflects nothing, on the left of a camera at the origin that looks along -Z."""
     bpy.ops.mesh.primitive_plane_add(size=8, location=(-4, 0, -3))
     material = bpy.data.materials.new("glowing")
     material.use_nodes = True
