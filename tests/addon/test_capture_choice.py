@@ -1,5 +1,6 @@
 """What follows from the choice of a capture folder. One session."""
 
+import json
 import shutil
 import sys
 from pathlib import Path
@@ -38,6 +39,13 @@ def check_choice(folder):
     settings.output = str(folder / "my own")
     settings.capture = str(folder / "capture")
     assert settings.output == str(folder / "my own"), "the artist's choice stays"
+    report = folder / "my own" / "report.json"
+    report.parent.mkdir()
+    for made_of, kept in (("capture", True), ("moved", True), ("images", False)):
+        report.write_text(json.dumps({"capture": {"folder": str(folder / made_of)}}))
+        settings.output = str(folder / "my own")
+        settings.capture = str(folder / "capture")
+        assert settings.output == str(folder / ("my own" if kept else "capture_result")), "the result of other photos"
     settings.output = settings.capture = ""
     assert chosen() == ("", "")
 
