@@ -16,6 +16,7 @@ import numpy as np
 
 from ..scene_io.capture_files import Frame, UnshownPhoto
 from ..scene_io.image_files import write_png
+from ..scene_io.photo_alpha import shown_whole
 from ..scene_io.srgb import linear_to_srgb
 from .contact_sheet import draw_sheet, empty_tile, in_cell, strip_tile_size
 from .exposure import exposure
@@ -59,7 +60,7 @@ def compare(
 
     rows, gains = [], []
     with RelitScene(item, width, height, samples, seed) as relit:
-        for frame, size in zip(frames, sizes, strict=True):
+        for frame, size in zip(shown_whole(frames), sizes, strict=True):
             relit.set_size(*size)
             lit = rendered(relit, frame, recovered, frame.object_gain)
             again = seen_by_camera(lit, frame.response) * np.array(frame.gain)
