@@ -367,12 +367,12 @@ WORDS: dict[str, str] = {
     "cut): make object_radius larger, or move object_center",
     "job.metal_unclear": "the photos hardly show whether the object is metal: if the result is wrong, choose --metal yes "
     "or --metal no",
-    "job.photos_not_explained": "the asset does not explain its photos: {decibels:.0f} dB, and hues differ by "
-    "{degrees:.0f} degrees. A usable one has at least {least:.0f} dB, and at most {most:.0f} degrees: shape, materials or "
+    "job.photos_not_explained": "the asset does not explain its photos: {decibels:.1f} dB, and hues differ by "
+    "{degrees:.1f} degrees. A usable one has at least {least:.0f} dB, and at most {most:.0f} degrees: shape, materials or "
     "light are wrong. Look at it beside its photos. Were all of them taken in one light? Then try --preset balanced, or "
     "masks",
     "job.surroundings_not_explained": "the recovered light explains what the photos show beside the object to "
-    "{decibels:.0f} dB only, and {least:.0f} dB is the least that usable light has: do not trust the materials. Were all "
+    "{decibels:.1f} dB only, and {least:.0f} dB is the least that usable light has: do not trust the materials. Were all "
     "photos taken in one light, and did nothing move? Look whether the cameras are right",
     # what a batch says
     "batch.looking": "looking at capture {step} of {steps}",

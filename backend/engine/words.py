@@ -261,12 +261,12 @@ MESSAGES = {
     "cut): make the bounds larger, and reconstruct it again",
     "job.metal_unclear": "The photos hardly show whether the object is metal: if the result is wrong, choose it in "
     "Advanced > Material",
-    "job.photos_not_explained": "The result does not explain its photos: {decibels:.0f} dB, and hues differ by "
-    "{degrees:.0f} degrees. A usable one has at least {least:.0f} dB, and at most {most:.0f} degrees: shape, materials or "
+    "job.photos_not_explained": "The result does not explain its photos: {decibels:.1f} dB, and hues differ by "
+    "{degrees:.1f} degrees. A usable one has at least {least:.0f} dB, and at most {most:.0f} degrees: shape, materials or "
     "light are wrong. Look at it beside its photos. Were all of them taken in one light? Then try the preset Balanced, or "
     "masks",
     "job.surroundings_not_explained": "The recovered light explains what the photos show beside the object to "
-    "{decibels:.0f} dB only, and {least:.0f} dB is the least that usable light has: do not trust the materials. Were all "
+    "{decibels:.1f} dB only, and {least:.0f} dB is the least that usable light has: do not trust the materials. Were all "
     "photos taken in one light, and did nothing move? Look whether the cameras are right",
     # what a batch says
     "batch.looking": "Looking at capture {step} of {steps}",
