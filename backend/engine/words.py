@@ -67,7 +67,7 @@ MESSAGES = {
     "cameras.video_hdr": "The video is HDR (HLG): its curve was undone as the standard says, but what the camera did to the "
     "contrast remains. Film without HDR, if you can",
     "cameras.photos": "Read {step} of {steps} photos",
-    "cameras.surroundings": "Looked for surroundings that stand still: {percent:.0f} %",
+    "cameras.surroundings": "Looked at the surroundings: {percent:.0f} %",
     "cameras.features": "Looked for details in {step} of {steps} photos",
     "cameras.matches": "Compared {step} of {steps} pairs of photos",
     "cameras.places": "Placed {step} of {steps} photos",

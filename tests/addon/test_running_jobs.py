@@ -526,6 +526,11 @@ def check_narrow_sidebar():
         addon.wrapped_text.draw_setting(layout, context, bpy.context.scene.nep, "use_masks")
         assert ("Preset" in layout.log) == (width < 264), "above its field"
     assert shown == list(texts), shown
+    context = SimpleNamespace(region=SimpleNamespace(width=300), preferences=SimpleNamespace(**styles))
+    for texts in (["Starting"], ["Finding the cameras", "Looked at the surroundings: 64 %, which stand still", "5 s left"]):
+        layout = Drawn()
+        addon.wrapped_text.draw_steady(layout, context, texts)
+        assert len(layout.log) == addon.wrapped_text.STEADY_LINES, "what is below does not move"
 
 
 def test_registering_twice_leaves_nothing_and_warns_of_nothing(package):
