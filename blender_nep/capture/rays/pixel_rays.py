@@ -247,7 +247,7 @@ class PixelRays:
         for photo, camera, size in zip(decoded(capture, factors, use_masks), cameras, sizes, strict=True):
             if len(facts) in lacking and photo.mask is None:
                 photo.mask, photo.facts.has_mask = np.zeros(len(photo.valid), np.uint8), True
-            if len(facts) in by_alpha:  # what was cut away in this photo is known from the others
+            if len(facts) in by_alpha and photo.mask is not None:  # what was cut away is known from other photos
                 photo.valid[photo.mask <= 127], photo.facts.cut_out = False, False
             facts.append(photo.facts)
             stores.append(photo.radiance, photo.valid & camera.shown_pixels(size[1], size[0]), photo.mask)
