@@ -1,12 +1,17 @@
-"""What follows from the choice of a capture folder: its folder `images` stands for it, and the result comes beside it."""
+"""What follows from the choice of a capture folder: its folder `images` stands for it, and the result comes beside it.
+
+An output folder that the artist has named stays, but not if the result of other photos is in it: the sidebar would offer
+that object as the one of these photos, and *Start Again* would replace it.
+"""
 
 from pathlib import Path
 
 import bpy
 
 from ..backend.engine.results.capture_contents import has_cameras, has_masks
+from ..backend.plain_files import read_json
 from . import folder_changes
-from .folders import resolve_folder
+from .folders import folder_key, resolve_folder
 
 PHOTOS_FOLDER = "images"  # where captures have their photos
 RESULT = "{}_result"  # name of the default output folder, beside the capture
@@ -22,12 +27,22 @@ def on_capture_chosen(scene: bpy.types.Scene) -> None:
         with folder_changes.without_notices():  # the functions that are called after this one see the whole capture
             settings.capture = _beside(settings.capture, folder, "") or str(folder.parent)
         folder = folder.parent
-    if settings.output in ("", settings.default_output) and folder.name:
+    is_free = settings.output in ("", settings.default_output) or _is_of_others(resolve_folder(settings.output), folder)
+    if is_free and folder.name:
         default = _beside(settings.capture, folder, RESULT.format(folder.name)) or str(
             folder.with_name(RESULT.format(folder.name))
         )
         settings.default_output = default
         settings.output = default
+
+
+def _is_of_others(output: Path | None, capture: Path) -> bool:
+    """Whether the output folder holds the result of another capture, which is still where it was."""
+    try:
+        made_of = Path(read_json(output / "report.json")["capture"]["folder"]) if output is not None else capture
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+    return folder_key(made_of) != folder_key(capture) and made_of.is_dir()
 
 
 def _is_part(folder: Path) -> bool:

@@ -11,6 +11,7 @@ ICON = 20  # width of an icon, in the same pixels
 UNKNOWN_WIDTH = 280  # of a sidebar, where the context has no region
 NARROW = 200  # a panel with less width has the names of settings above their fields
 BUTTON = 16  # margins of a text in a button, in pixels at an interface scale of 1
+STEADY_LINES = 4
 SHORTEST_LINE = "m" * 6  # a line is never narrower than this text
 
 
@@ -28,12 +29,31 @@ def draw_wrapped(
     `parts`: how many such texts stand side by side. An empty text draws nothing. Blender translates the lines of labels
     only, so the whole text is translated before.
     """
-    blf.size(0, context.preferences.ui_styles[0].widget.points)
+    limit = panel_width(context) / parts - (ICON if icon != "NONE" else 0)
+    column = _dense(layout)
+    for index, line in enumerate(_lines(context, pgettext_iface(text), limit)):
+        column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")
+
+
+def draw_steady(layout: bpy.types.UILayout, context: bpy.types.Context, texts: list[str]) -> None:
+    """Draw texts that change while somebody looks, and empty lines below them until there are STEADY_LINES.
+
+    So the buttons below do not move under the mouse. The texts are translated already.
+    """
+    column, lines = _dense(layout), [line for text in texts for line in _lines(context, text, panel_width(context))]
+    for line in lines + [""] * (STEADY_LINES - len(lines)):
+        column.label(text=line)
+
+
+def _dense(layout: bpy.types.UILayout) -> bpy.types.UILayout:
     column = layout.column(align=True)
     column.scale_y = 0.8
-    limit = panel_width(context) / parts - (ICON if icon != "NONE" else 0)
-    for index, line in enumerate(wrap(pgettext_iface(text), limit, lambda words: blf.dimensions(0, words)[0])):
-        column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")
+    return column
+
+
+def _lines(context: bpy.types.Context, text: str, limit: float) -> list[str]:
+    blf.size(0, context.preferences.ui_styles[0].widget.points)
+    return wrap(text, limit, lambda words: blf.dimensions(0, words)[0])
 
 
 def fitting(context: bpy.types.Context, *texts: str, parts: float = 1) -> str:

@@ -233,6 +233,8 @@ WORDS: dict[str, str] = {
     "each other and the photos better then",
     "capture.opengl_axes": "the cameras have OpenGL's axes (y up, looking down -z) although from_mitsuba is true, and are "
     "read so: they fit each other and the photos better then",
+    "capture.realityscan_angles": "the angles in {file} are not those of RealityScan. They are read so that all cameras "
+    "look at one place, with the tops of the photos up",
     "capture.cameras_of_upright": "the {count:camera is for a photo that EXIF turns|cameras are for photos that EXIF "
     "turns} upright, and {count:was|were} turned to the pixels as the file stores them: {names}",
     "capture.brackets": "the {photos} photos seem to be brackets of {size} exposures each, {stops:.1f} stops apart: merge "
@@ -310,6 +312,8 @@ WORDS: dict[str, str] = {
     "capture.photos_reduced": "there are {photos} photos: each is scaled down to {pixels} pixels, because all photos "
     "together may have {limit}",
     "capture.masks_missing": "masks are not used: {count} {count:photo has|photos have} none ({names})",
+    "capture.alpha_for_mask": "{count} {count:photo has|photos have} no mask, unlike the others: {count:its|their} alpha is "
+    "the mask ({names})",
     "capture.masks_lacking": "{count} {count:photo is|photos are} left out: {count:it has|they have} no mask, unlike the "
     "others ({names})",
     "capture.masks_empty": "{count} {count:photo is|photos are} left out: {count:its mask shows|their masks show} nothing "
@@ -363,12 +367,12 @@ WORDS: dict[str, str] = {
     "cut): make object_radius larger, or move object_center",
     "job.metal_unclear": "the photos hardly show whether the object is metal: if the result is wrong, choose --metal yes "
     "or --metal no",
-    "job.photos_not_explained": "the asset does not explain its photos: {decibels:.0f} dB, and hues differ by "
-    "{degrees:.0f} degrees. A usable one has at least {least:.0f} dB, and at most {most:.0f} degrees: shape, materials or "
+    "job.photos_not_explained": "the asset does not explain its photos: {decibels:.1f} dB, and hues differ by "
+    "{degrees:.1f} degrees. A usable one has at least {least:.0f} dB, and at most {most:.0f} degrees: shape, materials or "
     "light are wrong. Look at it beside its photos. Were all of them taken in one light? Then try --preset balanced, or "
     "masks",
     "job.surroundings_not_explained": "the recovered light explains what the photos show beside the object to "
-    "{decibels:.0f} dB only, and {least:.0f} dB is the least that usable light has: do not trust the materials. Were all "
+    "{decibels:.1f} dB only, and {least:.0f} dB is the least that usable light has: do not trust the materials. Were all "
     "photos taken in one light, and did nothing move? Look whether the cameras are right",
     # what a batch says
     "batch.looking": "looking at capture {step} of {steps}",

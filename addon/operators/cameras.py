@@ -93,6 +93,7 @@ class NEP_OT_capture_from_scene(bpy.types.Operator):
         "Make a capture folder of the scene's cameras that have a photo as background image, and use it. "
         "The photos stay where they are"
     )
+    bl_options = {"UNDO"}
 
     directory: bpy.props.StringProperty(
         name="Folder",

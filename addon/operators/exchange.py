@@ -147,6 +147,7 @@ class NEP_OT_choose_folder(bpy.types.Operator):
         "Choose the folder with the photos of an object, to reconstruct it in the sidebar (tab NeP). "
         "The folder of a finished result is imported"
     )
+    bl_options = {"UNDO"}  # otherwise the next undo takes the choice back, too
 
     directory: bpy.props.StringProperty(name="Folder", subtype="DIR_PATH", options={"SKIP_SAVE"})
     filepath: bpy.props.StringProperty(  # what Blender sets where a file is dropped

@@ -19,6 +19,7 @@ class NEP_OT_find_cameras_of_video(CameraOperator, bpy.types.Operator):
         "Choose a video of a walk around the object. Its sharpest frames become photos, in a folder beside the video, and "
         "their cameras are found. That folder becomes the capture folder"
     )
+    bl_options = {"UNDO"}  # otherwise the next undo takes the choice back, too
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE", "HIDDEN"})
     filter_movie: bpy.props.BoolProperty(default=True, options={"SKIP_SAVE", "HIDDEN"})

@@ -10,7 +10,7 @@ from ..capture_folder import CaptureFolder, last_look_into
 from ..folders import resolve_folder
 from ..tasks import registry
 from ..tasks.camera_search import CameraSearch
-from ..wrapped_text import draw_setting, draw_wrapped, fitting
+from ..wrapped_text import draw_setting, draw_steady, draw_wrapped, fitting
 from .failure import draw_failure
 from .video import draw_choose_video, draw_videos
 
@@ -22,7 +22,6 @@ LOAD_AGAIN = "Press Load Cameras again to see them."
 REPLACED = "They replace the earlier cameras: press Load Cameras and Propose Bounds again."
 STOPPING = "Stopping"
 IMPROVED = "cameras.improved"  # the engine's message that other cameras were written
-PROGRESS_LINES = 3  # always as many, so that the buttons below do not move while a search runs
 
 
 def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -89,10 +88,7 @@ def _draw_progress(box: bpy.types.UILayout, context: bpy.types.Context, search: 
     row = box.split(factor=0.66, align=True)
     row.progress(factor=progress.fraction, text=f"{100 * progress.fraction:.0f} %")
     row.operator("nep.cancel_find_cameras")
-    column = box.column(align=True)
-    lines = [pgettext_iface(STOPPING)] if process.stopping else progress.lines(pgettext_iface)
-    for line in lines + [""] * (PROGRESS_LINES - len(lines)):
-        column.label(text=line) if not line else draw_wrapped(column, context, line)
+    draw_steady(box, context, [pgettext_iface(STOPPING)] if process.stopping else progress.lines(pgettext_iface))
 
 
 def _draw_found(box: bpy.types.UILayout, context: bpy.types.Context, search: CameraSearch) -> None:

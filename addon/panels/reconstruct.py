@@ -15,8 +15,8 @@ from ..scene.imported_result import has_new_result, is_lit, result_object
 from ..scene.lit_view import viewport
 from ..tasks import registry
 from ..tasks.running_jobs import Job, job_of
-from ..wrapped_text import draw_setting, draw_wrapped, fitting
-from .camera_search import PROGRESS_LINES, draw_camera_search
+from ..wrapped_text import draw_setting, draw_steady, draw_wrapped, fitting
+from .camera_search import draw_camera_search
 from .pictures import draw_halves
 
 STOPPING = "Stopping: writing the checkpoint"
@@ -118,10 +118,7 @@ def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, job: J
     row = layout.row(align=True)
     row.operator("nep.cancel", icon="CANCEL")
     row.operator("nep.open_log", text="", icon="TEXT")
-    column = layout.column(align=True)
-    lines = [pgettext_iface(STOPPING)] if job.stopping else progress.lines(pgettext_iface)
-    for line in lines + [""] * (PROGRESS_LINES - len(lines)):
-        draw_wrapped(column, context, line) if line else column.label(text="")
+    draw_steady(layout, context, [pgettext_iface(STOPPING)] if job.stopping else progress.lines(pgettext_iface))
     _draw_picture(layout, context, job)
     for warning in job.warnings[-2:]:
         draw_wrapped(layout, context, warning.words(pgettext_iface), "INFO")

@@ -67,7 +67,7 @@ MESSAGES = {
     "cameras.video_hdr": "The video is HDR (HLG): its curve was undone as the standard says, but what the camera did to the "
     "contrast remains. Film without HDR, if you can",
     "cameras.photos": "Read {step} of {steps} photos",
-    "cameras.surroundings": "Looked for surroundings that stand still: {percent:.0f} %",
+    "cameras.surroundings": "Looked at the surroundings: {percent:.0f} %",
     "cameras.features": "Looked for details in {step} of {steps} photos",
     "cameras.matches": "Compared {step} of {steps} pairs of photos",
     "cameras.places": "Placed {step} of {steps} photos",
@@ -136,6 +136,8 @@ MESSAGES = {
     "each other and the photos better then",
     "capture.opengl_axes": "The cameras have OpenGL's axes, although the file says Mitsuba's, and are read so: they fit "
     "each other and the photos better then",
+    "capture.realityscan_angles": "The angles in {file} are not those of RealityScan. They are read so that all cameras "
+    "look at one place, with the tops of the photos up",
     "capture.cameras_of_upright": "The {count:camera is for a photo that EXIF turns|cameras are for photos that EXIF "
     "turns} upright, and {count:was|were} turned to the pixels as they are stored: {names}",
     "capture.brackets": "The {photos} photos seem to be brackets of {size} exposures each, {stops:.1f} stops apart: merge "
@@ -206,6 +208,8 @@ MESSAGES = {
     "capture.photos_black": "{count} {count:photo is|photos are} black and {count:is|are} left out: {names}",
     "capture.photos_reduced": "There are {photos} photos, so each is scaled down to {pixels} pixels",
     "capture.masks_missing": "Masks are not used: {count} {count:photo has|photos have} none ({names})",
+    "capture.alpha_for_mask": "{count} {count:photo has|photos have} no mask, unlike the others. {count:Its|Their} "
+    "transparent pixels tell where the object is ({names})",
     "capture.masks_lacking": "{count} {count:photo|photos} left out: {count:it has|they have} no mask, unlike the others "
     "({names})",
     "capture.masks_empty": "{count} {count:photo|photos} left out: {count:its mask is|their masks are} empty: {names}",
@@ -257,12 +261,12 @@ MESSAGES = {
     "cut): make the bounds larger, and reconstruct it again",
     "job.metal_unclear": "The photos hardly show whether the object is metal: if the result is wrong, choose it in "
     "Advanced > Material",
-    "job.photos_not_explained": "The result does not explain its photos: {decibels:.0f} dB, and hues differ by "
-    "{degrees:.0f} degrees. A usable one has at least {least:.0f} dB, and at most {most:.0f} degrees: shape, materials or "
+    "job.photos_not_explained": "The result does not explain its photos: {decibels:.1f} dB, and hues differ by "
+    "{degrees:.1f} degrees. A usable one has at least {least:.0f} dB, and at most {most:.0f} degrees: shape, materials or "
     "light are wrong. Look at it beside its photos. Were all of them taken in one light? Then try the preset Balanced, or "
     "masks",
     "job.surroundings_not_explained": "The recovered light explains what the photos show beside the object to "
-    "{decibels:.0f} dB only, and {least:.0f} dB is the least that usable light has: do not trust the materials. Were all "
+    "{decibels:.1f} dB only, and {least:.0f} dB is the least that usable light has: do not trust the materials. Were all "
     "photos taken in one light, and did nothing move? Look whether the cameras are right",
     # what a batch says
     "batch.looking": "Looking at capture {step} of {steps}",

@@ -4,8 +4,8 @@ Each row shows a photo, the same view rendered under the recovered light, and th
 A turntable below the rows, if one is asked for, shows the object under one light. The tiles are sRGB-encoded, as by
 Blender's view transform Standard, which changes no hue. A photo and its re-rendering share one exposure and white balance;
 where those differ from photo to photo, these are the photo's own. Where the asset's report says that the object is brighter
-in a photo than in others, the whole re-rendering is, too. Every other light has its own exposure. Where Blender does not
-show the format of a photo, its name stands in its place.
+in a photo than in others, so is the object in the re-rendering, and not what is behind it. Every other light has its own
+exposure. Where Blender does not show the format of a photo, its name stands in its place.
 """
 
 from collections.abc import Callable
@@ -16,6 +16,7 @@ import numpy as np
 
 from ..scene_io.capture_files import Frame, UnshownPhoto
 from ..scene_io.image_files import write_png
+from ..scene_io.photo_alpha import shown_whole
 from ..scene_io.srgb import linear_to_srgb
 from .contact_sheet import draw_sheet, empty_tile, in_cell, strip_tile_size
 from .exposure import exposure
@@ -49,9 +50,9 @@ def compare(
     width, height = max(width for width, _ in sizes), max(height for _, height in sizes)
     columns, done, total = 2 + len(worlds), 0, len(frames) * (1 + len(worlds)) + turntable
 
-    def rendered(relit: RelitScene, frame: Frame, world: bpy.types.World) -> np.ndarray:
+    def rendered(relit: RelitScene, frame: Frame, world: bpy.types.World, object_gain: float = 1.0) -> np.ndarray:
         nonlocal done
-        radiance = relit.render(frame, world)
+        radiance = relit.render_brightened(frame, world, object_gain)
         done += 1
         if progress:
             progress(done, total)
@@ -59,9 +60,9 @@ def compare(
 
     rows, gains = [], []
     with RelitScene(item, width, height, samples, seed) as relit:
-        for frame, size in zip(frames, sizes, strict=True):
+        for frame, size in zip(shown_whole(frames), sizes, strict=True):
             relit.set_size(*size)
-            lit = rendered(relit, frame, recovered) * frame.object_gain
+            lit = rendered(relit, frame, recovered, frame.object_gain)
             again = seen_by_camera(lit, frame.response) * np.array(frame.gain)
             again = seen_by_camera(again, frame.curve_of_files)
             photo = _photo(frame, *size)

@@ -43,6 +43,11 @@ class RelitScene:
         """Render the object under `world`, seen by the frame's camera: linear radiance [H,W,3] float32."""
         return np.ascontiguousarray(self._rendered(frame, world, "RGB")[..., :3])
 
+    def render_brightened(self, frame: Frame, world: bpy.types.World, gain: float) -> np.ndarray:
+        """As `render`, but the object alone is brighter by the factor `gain`. What is seen behind it stays."""
+        whole = self.render(frame, world)
+        return whole if gain == 1 else whole + (gain - 1) * self.render_cut_out(frame, world)[..., :3]
+
     def render_cut_out(self, frame: Frame, world: bpy.types.World) -> np.ndarray:
         """As `render`, but `world` is not seen behind the object: radiance and coverage [H,W,4], 0..1 in the last channel.
 

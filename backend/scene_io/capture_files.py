@@ -53,9 +53,11 @@ class Frame:
     response: tuple[float, float, float] | None = None
     # The same in the values of the photos' files, after `gain`
     curve_of_files: tuple[float, float, float] | None = None
+    # Whether the photo is whole although some of its pixels are transparent (photo_alpha.py)
+    ignores_alpha: bool = False
 
     def photo(self) -> np.ndarray:
-        """The photo as linear radiance [H,W,3], over GRAY where the file is transparent.
+        """The photo as linear radiance [H,W,3], over GRAY where the file is transparent, unless it `ignores_alpha`.
 
         Raises OSError where the file cannot be read, UnshownPhoto where this Blender does not show its format.
         """
@@ -70,6 +72,8 @@ class Frame:
         rgb, alpha = pixels[..., :3], pixels[..., 3:]
         if self.color_space == "srgb":
             rgb = srgb_to_linear(rgb)
+        if self.ignores_alpha:
+            return np.nan_to_num(rgb)
         # OpenEXR files hold colors that are multiplied by alpha already, other files do not
         shown = np.nan_to_num(rgb) * (1 if self.path.suffix.lower() == ".exr" else alpha)
         return shown + GRAY * (1 - alpha)

@@ -11,6 +11,7 @@ from .cameras import new_camera, pixel_aspect
 from .capture_files import Frame
 from .color_spaces import DATA, set_color_space
 from .image_files import load_pixels, relative_path
+from .photo_alpha import shown_whole
 from .photo_formats import HEIF, RAW
 
 COLLECTION_NAME = "NeP cameras: {}"
@@ -33,8 +34,9 @@ def load_cameras(
     """Make a camera for each frame in `scene`; return (cameras, paths of missing photos, paths that Blender cannot show).
 
     The cameras of an earlier call are removed first. Blender reads a photo only when somebody looks through its camera, so
-    hundreds of photos take no time here. With `match_render` the scene gets the first photo's size and pixel aspect, so that
-    photo and view line up. `remove_cameras` gives the scene's own values back.
+    hundreds of photos take no time here; up to five are read if they may have transparent pixels. With `match_render` the
+    scene gets the first photo's size and pixel aspect, so that photo and view line up. `remove_cameras` gives the scene's
+    own values back.
     """
     remove_cameras(scene)
     collection = bpy.data.collections.new(COLLECTION_NAME.format(Path(capture).resolve().name))
@@ -44,7 +46,7 @@ def load_cameras(
     size = DISPLAY_SIZE * float(np.median(np.linalg.norm(positions - positions.mean(axis=0), axis=1))) or 0.1
     cameras, missing, not_shown = [], [], []
     shows_heif = _shows_heif(frames)
-    for frame in frames:
+    for frame in shown_whole(frames):
         camera = new_camera(frame, collection, frame.path.stem)
         camera[SIZE_KEY], camera[ASPECT_KEY] = [frame.width, frame.height], pixel_aspect(frame)
         camera.data.display_size = size
@@ -163,6 +165,8 @@ def _photo(frame: Frame) -> bpy.types.Image | None:
         image[PHOTO_KEY] = True
         if frame.color_space == "linear" and frame.path.suffix.lower() != ".exr":
             set_color_space(image, DATA)
+        if frame.ignores_alpha:
+            image.alpha_mode = "NONE"
         if bpy.data.is_saved:
             image.filepath = relative_path(frame.path.resolve())
     return image

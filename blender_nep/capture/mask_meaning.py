@@ -185,6 +185,15 @@ def read_alpha(capture: Capture) -> list[Message]:
     return [Message("capture.alpha_inverted")]
 
 
+def alpha_shows_object(capture: Capture, i: int) -> bool:
+    """Whether photo `i` is a cut-out that clearly shows the object where its camera looks. Raises CaptureError."""
+    photo = capture.open_photo(i)
+    alpha = photo.alpha(_step(photo.size))
+    if alpha is None or photo.least_alpha() >= 0.5:
+        return False
+    return _sort(capture.views[i].camera, alpha > 0.5, capture.object_center) == 1
+
+
 def _has_colors(capture: Capture, i: int, opaque: np.ndarray) -> bool:
     """Whether photo `i` has colors where it is transparent. opaque: [h, w] bool of some pixels."""
     photo = capture.open_photo(i)

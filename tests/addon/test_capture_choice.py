@@ -1,5 +1,6 @@
 """What follows from the choice of a capture folder. One session."""
 
+import json
 import shutil
 import sys
 from pathlib import Path
@@ -38,6 +39,13 @@ def check_choice(folder):
     settings.output = str(folder / "my own")
     settings.capture = str(folder / "capture")
     assert settings.output == str(folder / "my own"), "the artist's choice stays"
+    report = folder / "my own" / "report.json"
+    report.parent.mkdir()
+    for made_of, kept in (("capture", True), ("moved", True), ("images", False)):
+        report.write_text(json.dumps({"capture": {"folder": str(folder / made_of)}}))
+        settings.output = str(folder / "my own")
+        settings.capture = str(folder / "capture")
+        assert settings.output == str(folder / ("my own" if kept else "capture_result")), "the result of other photos"
     settings.output = settings.capture = ""
     assert chosen() == ("", "")
 
@@ -62,6 +70,13 @@ def check_choice(folder):
     fails(lambda: choose(directory=str(folder / "package" / "none")), "neither photos nor a finished result")
     for given in ({"directory": str(folder / "capture" / "images")}, {"filepath": str(folder / "capture/transforms.json")}):
         assert choose(**given) == {"FINISHED"} and chosen() == (str(folder / "capture"), str(folder / "capture_result"))
+    settings.output = settings.capture = ""
+    bpy.ops.ed.undo_push(message="before")
+    choose("EXEC_DEFAULT", True, directory=str(folder / "capture"))
+    bpy.ops.object.camera_add("EXEC_DEFAULT", True)
+    bpy.ops.ed.undo()
+    settings = bpy.context.scene.nep
+    assert settings.capture == str(folder / "capture"), "the next step alone is undone"
     correcting_engine.make_asset(folder / "asset")
     assert choose(filepath=str(folder / "asset" / "report.json")) == {"FINISHED"}
     assert "asset" in bpy.data.objects and settings.capture == str(folder / "capture")

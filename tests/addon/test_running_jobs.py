@@ -187,7 +187,7 @@ def check_close(folder):
 
 
 def check_kept(folder):
-    """The job is still at work, or has ended meanwhile; in both cases the object comes."""
+    """A job that is still at work brings its object. That of one that has ended meanwhile waits for the artist."""
     import bpy
 
     addon = register()
@@ -195,8 +195,9 @@ def check_kept(folder):
     scene = bpy.context.scene
     job = addon.tasks.running_jobs.job_of(scene)
     assert job is not None and job.progress.fraction > 0
+    brought = [] if job.ended else ["out"]
     rounds(addon, lambda: job.ended and not job.import_when_ended)
-    assert job.failed is None and meshes(bpy) == ["out"]
+    assert job.failed is None and meshes(bpy) == brought
     # the file was not saved with the object: the result waits again, and is not forced upon anybody
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
     addon.tasks.clock.tick()
@@ -526,6 +527,11 @@ def check_narrow_sidebar():
         addon.wrapped_text.draw_setting(layout, context, bpy.context.scene.nep, "use_masks")
         assert ("Preset" in layout.log) == (width < 264), "above its field"
     assert shown == list(texts), shown
+    context = SimpleNamespace(region=SimpleNamespace(width=300), preferences=SimpleNamespace(**styles))
+    for texts in (["Starting"], ["Finding the cameras", "Looked at the surroundings: 64 %, which stand still", "5 s left"]):
+        layout = Drawn()
+        addon.wrapped_text.draw_steady(layout, context, texts)
+        assert len(layout.log) == addon.wrapped_text.STEADY_LINES, "what is below does not move"
 
 
 def test_registering_twice_leaves_nothing_and_warns_of_nothing(package):

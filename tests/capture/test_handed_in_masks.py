@@ -297,3 +297,23 @@ def test_masks_that_are_missing_end_nothing_that_ignores_them(ball):
     with pytest.raises(CaptureError, match=r"mask masks/000\.png is missing, and 5 more"):
         load_capture(ball.save())
     assert len(load_capture(ball.folder, use_masks=False).views) == VIEWS
+
+
+@pytest.mark.parametrize("inverted", [False, True], ids=["cut-out", "inverted"])
+def test_a_cut_out_among_photos_with_masks_is_its_own_mask(ball, inverted):
+    """What was cut away is not learned as black, and the other photos show the surroundings. Inverted alpha is no mask."""
+    expected = truth(ball)
+    (ball.folder / "masks/002.png").unlink()
+    path = ball.folder / "images/002.png"
+    photo = np.asarray(Image.open(path).convert("RGB"))
+    Image.fromarray(np.dstack([photo, np.uint8(255) * (expected[2] != inverted)])).save(path)
+    rays = PixelRays.from_capture(load_capture(ball.folder), 10_000, True)
+    of_photo = slice(rays.offset[2], rays.offset[3])
+    shown = rays.valid[of_photo].numpy().reshape(SIZE, SIZE)
+    if inverted:
+        assert "capture.masks_lacking" in codes(rays.warnings) and not shown.any()
+        return
+    (news,) = (message for message in rays.warnings if "mask" in message.code)
+    assert news.code == "capture.alpha_for_mask" and news.values["names"] == ["002"] and rays.background
+    assert (shown == expected[2]).all() and (rays.mask[of_photo].numpy()[shown.ravel()] == 255).all()
+    assert rays.valid[: rays.offset[2]].all(), "the other photos are whole"

@@ -15,7 +15,7 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.foreign_cameras import foreign_cameras
 from blender_nep.errors import CaptureError
-from support.camera_exports import HEIGHT, NAMES, TARGET, WIDTH, known_cameras
+from support.camera_exports import HEIGHT, NAMES, TARGET, WIDTH, known_cameras, write_photos
 from support.data_set_exports import (
     write_gaussians,
     write_mvsnet,
@@ -167,14 +167,35 @@ def test_one_matrix_of_record3d_counts_for_all_photos(tmp_path):
     assert {view.camera.fl_x for view in capture.views} == {truth[0].fl_x}
 
 
-def test_other_angles_in_realityscans_columns_are_refused(tmp_path):
-    """A ring of cameras, whose heading is the azimuth of their place."""
+def write_ring(folder, heading, pitch=-78.7):
+    """RealityScan's columns with a ring of cameras; heading: the angle that a script writes for an azimuth in degrees."""
+    write_photos(folder)
     rows = ["#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"]
-    for number in range(8):
-        x, y = 4 * np.cos(np.pi * number / 4), 4 * np.sin(np.pi * number / 4)
-        rows.append(f"{number}.png,{x:.6f},{y:.6f},0.8,{45 * number},-78,0,37.5,0,0,0,0,0,0,0,0")
-    (tmp_path / "cameras.csv").write_text("\n".join(rows))
-    with pytest.raises(CaptureError, match=r"6 of 8 cameras look away") as refused:
+    for number, name in enumerate(NAMES):
+        azimuth = 360 * number / len(NAMES)
+        x, y = 4 * np.cos(np.radians(azimuth)), 4 * np.sin(np.radians(azimuth))
+        rows.append(f"{name},{x:.6f},{y:.6f},0.8,{heading(azimuth)},{pitch},0,37.5,0,0,0,0,0,0,0,0")
+    (folder / "cameras.csv").write_text("\n".join(rows))
+
+
+@pytest.mark.parametrize(
+    ("heading", "pitch"), [(lambda a: a, -78.7), (lambda a: -a, 78.7), (lambda a: 180 + a, 78.7), (lambda a: 90 - a, 78.7)]
+)
+def test_scripts_angles_in_realityscans_columns_are_read(tmp_path, heading, pitch):
+    """The cameras look at the origin, and the tops of their photos are up."""
+    write_ring(tmp_path, heading, pitch)
+    capture = load_capture(tmp_path)
+    assert "capture.realityscan_angles" in [warning.code for warning in capture.warnings]
+    for view in capture.views:
+        turn, position = view.camera.camera_to_world[:3, :3], view.camera.position
+        np.testing.assert_allclose(-turn[:, 2], -position / np.linalg.norm(position), atol=2e-3)
+        assert turn[2, 1] > 0.9 and np.linalg.det(turn) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("heading", [lambda a: a + 30, lambda a: 2 * a, lambda a: 7 * a % 50])
+def test_unknown_angles_in_realityscans_columns_are_refused(tmp_path, heading):
+    write_ring(tmp_path, heading)
+    with pytest.raises(CaptureError, match=r"cameras look away from the others") as refused:
         load_capture(tmp_path)
     assert "COLMAP" in str(refused.value.hint)
 

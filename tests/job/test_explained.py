@@ -45,7 +45,9 @@ def test_what_explains_too_little_is_a_warning(of_object, beside, codes):
     assert [warning.code for warning in warnings] == codes
     for warning in warnings:
         words = EngineMessage.of(warning.to_dict()).words(str)
-        assert f"{warning.values['decibels']:.0f} dB" in words and "one light" in words
+        found, least = warning.values["decibels"], warning.values["least"]
+        assert f"{found:.1f} dB" in words and f"{least:.0f} dB" in words and "one light" in words
+        assert f"{found:.1f}" != f"{least:.1f}", "a figure that misses the bar does not look like the bar"
         assert words != str(warning)  # the panel has words of its own
 
 

@@ -1,5 +1,6 @@
 """Helpers of the scripts that run inside Blender. No bpy at module level, because pytest reads this folder too."""
 
+import atexit
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,9 +36,20 @@ def register():
 
     if not hasattr(bpy.types.Scene, "nep"):
         nep_addon.register()
+        if bpy.app.version < (5, 0):
+            atexit.register(_unregister)
     from nep_addon import addon
 
     return addon
+
+
+def _unregister() -> None:
+    """As a Blender with a window does at its end. Where classes are left, the wheel 4.2 crashes at its end and 4.5 hangs."""
+    import bpy
+    import nep_addon
+
+    if hasattr(bpy.types.Scene, "nep"):
+        nep_addon.unregister()
 
 
 def rounds(addon, until) -> None:

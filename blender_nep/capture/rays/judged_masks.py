@@ -9,6 +9,7 @@ import numpy as np
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.description import MINIMUM_VIEWS, MOST_LACKING
+from blender_nep.capture.mask_meaning import alpha_shows_object
 from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.rays.decoded_photos import PhotoFacts
 from blender_nep.errors import CaptureError
@@ -61,11 +62,25 @@ def judged_masks(capture: Capture, facts: list[PhotoFacts], lacking: list[int], 
     return JudgedMasks(masked, frozenset({*unknown, *lacking, *full}), warnings)
 
 
-def photos_without_masks(capture: Capture) -> list[int]:
-    """The photos that have no mask file, if nearly all others have one. Many such photos would be too many to leave out."""
+def photos_masked_by_alpha(capture: Capture) -> list[int]:
+    """The photos without a mask file that are cut-outs, if others have one: their alpha is their mask.
+
+    Raises CaptureError where a photo cannot be read.
+    """
     if capture.mask_reading.meaning not in (MaskMeaning.OBJECT, MaskMeaning.BACKGROUND):
         return []
     without = [i for i, view in enumerate(capture.views) if view.mask_path is None]
+    return [i for i in without if alpha_shows_object(capture, i)] if len(without) < len(capture.views) else []
+
+
+def photos_without_masks(capture: Capture, by_alpha: list[int]) -> list[int]:
+    """The photos that have no mask, if nearly all others have one. Many such photos would be too many to leave out.
+
+    by_alpha: the photos whose alpha is their mask
+    """
+    if capture.mask_reading.meaning not in (MaskMeaning.OBJECT, MaskMeaning.BACKGROUND):
+        return []
+    without = [i for i, view in enumerate(capture.views) if view.mask_path is None and i not in by_alpha]
     enough = len(without) <= MOST_LACKING * len(capture.views) and len(capture.views) - len(without) >= MINIMUM_VIEWS
     return without if enough else []
 

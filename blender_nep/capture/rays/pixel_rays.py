@@ -16,7 +16,7 @@ from blender_nep.capture.cameras.lens import Lenses
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.rays.decoded_photos import STRIP_PIXELS, PhotoFacts, decoded, judged
 from blender_nep.capture.rays.downscaling import factor_for
-from blender_nep.capture.rays.judged_masks import judged_masks, photos_without_masks
+from blender_nep.capture.rays.judged_masks import judged_masks, photos_masked_by_alpha, photos_without_masks
 from blender_nep.capture.rays.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.capture.rays.ray_bundle import RayBundle
@@ -242,10 +242,13 @@ class PixelRays:
         offset = np.concatenate([[0], np.cumsum([h * w for h, w in sizes])]).tolist()
         stores = memory.stores(offset[-1], use_masks, device)
         facts: list[PhotoFacts] = []
-        lacking = photos_without_masks(capture) if use_masks else []
+        by_alpha = photos_masked_by_alpha(capture) if use_masks else []
+        lacking = photos_without_masks(capture, by_alpha) if use_masks else []
         for photo, camera, size in zip(decoded(capture, factors, use_masks), cameras, sizes, strict=True):
             if len(facts) in lacking and photo.mask is None:
                 photo.mask, photo.facts.has_mask = np.zeros(len(photo.valid), np.uint8), True
+            if len(facts) in by_alpha and photo.mask is not None:  # what was cut away is known from other photos
+                photo.valid[photo.mask <= 127], photo.facts.cut_out = False, False
             facts.append(photo.facts)
             stores.append(photo.radiance, photo.valid & camera.shown_pixels(size[1], size[0]), photo.mask)
             progress(len(facts), len(cameras))
@@ -255,6 +258,9 @@ class PixelRays:
             warnings.append(Message("capture.photos_reduced", reduced))
         cut_out, masks = any(p.cut_out for p in facts), judged_masks(capture, facts, lacking, use_masks)
         warnings += masks.warnings
+        if by_alpha:
+            names = [capture.views[i].name for i in by_alpha]
+            warnings.append(Message("capture.alpha_for_mask", {"count": len(names), "names": names}))
         intrinsics = [(c.fl_x / f, c.fl_y / f, c.cx / f, c.cy / f) for c, f in zip(cameras, factors, strict=True)]
         origins = [(c.position - capture.object_center) / capture.object_radius for c in cameras]
 

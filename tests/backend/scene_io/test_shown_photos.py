@@ -128,5 +128,43 @@ def check_cut_outs(folder):
         np.testing.assert_allclose(frame.photo(), 0.25 * 0.5 + 0.75 * GRAY, atol=0.005)
 
 
+def test_photos_whose_alpha_is_no_cut_out_are_shown_whole(tmp_path):
+    """Transparent where the object is, in the middle. One photo without alpha shows that a capture has none."""
+    middle = np.zeros(SIZE[::-1], bool)
+    middle[8:-8, 12:-12] = True
+    for kind, opaque in (("inverted", ~middle), ("cut", middle)):
+        for number in range(3):
+            pixels = np.dstack([np.full((*SIZE[::-1], 3), 188, np.uint8), np.uint8(255) * opaque])
+            Image.fromarray(pixels).save(tmp_path / f"{kind}{number}.png")
+    Image.fromarray(np.full((*SIZE[::-1], 3), 188, np.uint8)).save(tmp_path / "opaque.png")
+    in_blender(check_whole, tmp_path)
+
+
+def check_whole(folder):
+    import bpy
+
+    from backend.scene_io.capture_files import GRAY, Frame
+    from backend.scene_io.photo_alpha import shown_whole
+    from backend.scene_io.photo_cameras import load_cameras
+
+    def frames(*names):
+        return [Frame(Path(folder) / f"{name}.png", *SIZE, 50, 50, 24, 16, np.eye(4), "srgb") for name in names]
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    for kind, whole, inside in (("inverted", True, 0.5), ("cut", False, 0.5)):
+        given = frames(*(f"{kind}{number}" for number in range(3)))
+        shown = shown_whole(given)
+        assert all(frame.ignores_alpha == whole for frame in shown) and not any(frame.ignores_alpha for frame in given)
+        photo = shown[0].photo()
+        np.testing.assert_allclose(photo[16, 24], inside, atol=0.005)
+        np.testing.assert_allclose(photo[0, 0], 0.5 if whole else GRAY, atol=0.005)
+        cameras, *_ = load_cameras(bpy.context.scene, Path(folder), given)
+        images = [camera.data.background_images[0].image for camera in cameras]
+        pixels = np.array(images[0].pixels).reshape(*SIZE[::-1], 4)
+        assert (pixels[16, 24, 3], pixels[0, 0, 3]) == (1, 1 if whole else 0), "what the viewport shows"
+    assert not any(frame.ignores_alpha for frame in shown_whole(frames("opaque", "inverted0", "inverted1")))
+    assert shown_whole([]) == [] and not shown_whole(frames("gone"))[0].ignores_alpha
+
+
 if __name__ == "__main__":
     globals()[sys.argv[1]](*sys.argv[2:])

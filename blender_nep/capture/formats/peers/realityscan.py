@@ -7,6 +7,10 @@ With all angles 0, the camera looks down, and the top of its photo is in the nor
 up, z back) to the world is Rz(-heading) Rx(pitch) Ry(roll). A camera of which RealityCapture wrote both a CSV and an XMP
 file agrees with this to 0.0001.
 
+Scripts write other angles into the same columns: headings that count the other way round or from another direction, and a
+pitch of the other sign. If most cameras look away from each other by RealityScan's angles, these are tried. Another reading
+counts if it is the only one by which nearly all cameras look at a common place, with the tops of their photos up.
+
 The focal length is that for film of 36 mm. RealityScan's own templates for exports make pixels of it and of the principal
 point by one factor, the longer side: f / 36 * side, and px * side + width / 2. By the template for OpenCV, t1 is OpenCV's
 p2, and t2 is its p1. The file does not say whether k1 is that of the model Division. That differs from ours in higher orders
@@ -16,8 +20,9 @@ only.
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +33,7 @@ from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription, c
 from blender_nep.capture.formats.peers.assembly import AGAIN, Intrinsics, PeerCamera, described, files_with, number, only
 from blender_nep.capture.formats.poses import FROM_OPENCV
 from blender_nep.errors import CaptureError
+from blender_nep.messages import Message
 from blender_nep.safety.plain_files import MEGABYTE, read_text
 
 _MARKS = (b"#name,x,y,alt,", b",roll,f")
@@ -38,6 +44,8 @@ _NEEDED = ("name", "x", "y", "alt", "heading", "pitch", "roll", "f")
 _OPTIONAL = ("px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
 _LEAST_COSINE = 0.5
 """A camera looks away from a place that is farther than 60 degrees from its optical axis."""
+_NEARLY_ALL, _NEAR = 0.9, 0.98
+"""By another reading, so many cameras must have a common place within 11 degrees of their optical axis."""
 _FAR = 1e4
 """Cameras that are so many times as far from the origin as from each other are moved to the origin."""
 
@@ -59,12 +67,14 @@ def read(folder: Path) -> CaptureDescription:
     positions = np.array([[row["x"], row["y"], row["alt"]] for _, row in rows]).reshape(-1, 3)
     _check_meters(positions, path.name)
     origin = _origin(positions)
+    angles = np.array([[row["heading"], row["pitch"], row["roll"]] for _, row in rows]).reshape(-1, 3)
+    rotations, said = _read_angles(angles, positions - origin, path.name)
     cameras = [
-        PeerCamera(name, _rotation(row["heading"], row["pitch"], row["roll"]), position - origin, partial(_intrinsics, row))
-        for (name, row), position in zip(rows, positions, strict=True)
+        PeerCamera(name, rotation, position - origin, partial(_intrinsics, row))
+        for (name, row), rotation, position in zip(rows, rotations, positions, strict=True)
     ]
-    _check_angles(cameras, path.name)
-    return described(folder, [path], cameras)
+    found = described(folder, [path], cameras)
+    return replace(found, warnings=[*found.warnings, *said])
 
 
 def _rows(path: Path) -> list[tuple[str, dict[str, float]]]:
@@ -104,21 +114,39 @@ def _rotation(heading: float, pitch: float, roll: float) -> np.ndarray:
     return around_z @ around_x @ around_y * FROM_OPENCV
 
 
-def _check_angles(cameras: Sequence[PeerCamera], file: str) -> None:
-    """Raises CaptureError if most cameras look away from the place at which they look together.
+def _read_angles(angles: np.ndarray, position: np.ndarray, file: str) -> tuple[np.ndarray, list[Message]]:
+    """The rotations [n, 3, 3] of cameras at `position` [n, 3], and a warning if their angles [n, 3] are not RealityScan's.
 
-    A script may have written other angles into the same columns.
+    Raises CaptureError if most cameras look away from the place at which they look together, by any reading.
     """
-    position, axis = np.array([c.position for c in cameras]), np.array([c.rotation[:, 2] for c in cameras])
-    place = common_place(position, axis) if len(cameras) >= MINIMUM_VIEWS else None
+    own = np.array([_rotation(*three) for three in angles]).reshape(-1, 3, 3)
+    axes = own[:, :, 2]
+    place = common_place(position, axes) if len(own) >= MINIMUM_VIEWS else None
     if place is None:
-        return
-    away = np.einsum("ni,ni->n", place - position, axis) < _LEAST_COSINE * np.linalg.norm(place - position, axis=1)
-    if away.mean() > 0.5:
+        return own, []
+    away = _cosines(position, axes, place) < _LEAST_COSINE
+    if away.mean() <= 0.5:
+        return own, []
+    others = []
+    for turns, start, tilt in product((1, -1), (0, 90, 180, 270), (1, -1)):
+        rotations = np.array([_rotation(turns * heading + start, tilt * pitch, roll) for heading, pitch, roll in angles])
+        place = common_place(position, rotations[:, :, 2])
+        upright = -rotations[:, 2, 1].mean() > 0
+        if place is not None and upright:
+            near = _cosines(position, rotations[:, :, 2], place) > _NEAR
+            others += [rotations] if near.mean() >= _NEARLY_ALL else []
+    if len(others) != 1:
         raise CaptureError(
             f"{file}: {away.sum()} of {len(away)} cameras look away from the others: its angles are not RealityScan's",
             "In RealityScan, export the registration as COLMAP or Bundler.",
         )
+    return others[0], [Message("capture.realityscan_angles", {"file": file})]
+
+
+def _cosines(position: np.ndarray, axis: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """The cosine [n] of the angle between each optical axis [n, 3] and the direction to `place` [3]."""
+    to_place = place - position
+    return np.einsum("ni,ni->n", to_place, axis) / np.maximum(np.linalg.norm(to_place, axis=1), 1e-300)
 
 
 def _check_meters(positions: np.ndarray, file: str) -> None:
