@@ -51,7 +51,7 @@ def photograph_options(
     if thing.startswith(RANDOM):
         return [*random_options(thing, folder, size, samples, threads), *photograph]
     options = ["--scene", thing, "--out", str(folder), "--views", str(views), "--size", str(size)]
-    return [*options, "--samples", str(samples), "--threads", str(threads), *photograph]
+    return [*options, "--samples", str(samples), "--threads", str(threads), "--fast", *photograph]
 
 
 def render(name: str, folder: Path, views: int, size: int, samples: int, threads: int) -> int:

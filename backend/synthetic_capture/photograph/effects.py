@@ -21,8 +21,8 @@ PHOTOGRAPHER, ROOM, APERTURE, FRAMING, LONG, MATERIALS, TWO_DAYS = SCENE = (
 JPEG, EXPOSURE, NOISE, CURVE = DEVELOPMENT = ("jpeg", "exposure", "noise", "curve")
 """Effects of the camera's development. They need only photos of linear radiance."""
 EFFECTS = (*SCENE, *DEVELOPMENT)
-GROUPS = {"camera": DEVELOPMENT, "all": EFFECTS}
-"""Name of a group -> its effects"""
+GROUPS = {"camera": DEVELOPMENT, "object": (LONG, MATERIALS), "all": EFFECTS}
+"""Name of a group -> its effects. `object` is a clean render of the object that `all` photographs."""
 ROOM_HEIGHT = 2.5
 """meters from floor to ceiling"""
 

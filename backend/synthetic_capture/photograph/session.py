@@ -9,6 +9,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...scene_io.image_files import write_whole
+from ..files.exif import MAKER, MODEL
 from ..files.photo_files import BRIGHTNESS, automatic_gain, film_focal_length, gain_for, write_jpeg
 from .daylight import Days
 from .development import developed
@@ -20,6 +21,8 @@ PHOTOGRAPHS = "photographs.json"
 """What was drawn, beside transforms.json"""
 SENSOR, FILM = 23.6, 36.0
 """Widths [mm] of the sensor whose depth of field a photo has, and of the film that Blender's lens is for"""
+NAMES = {MAKER: "Synthetic", MODEL: "Tone curve"}
+"""What EXIF calls a camera that has a tone curve of its own. Real cameras write such names, too."""
 FOCUS = 0.4
 """Photos are focused this far before the object's center, in object radii: on its surface"""
 
@@ -54,7 +57,7 @@ class Camera:
         red, green, blue = np.multiply(settings.balance, self.balances[settings.day]).tolist()
         noise = draws(self.seed, NOISE, number) if NOISE in self.effects else None
         photo = developed(radiance, gain, (red, green, blue), self.look, settings.iso, noise)
-        tags = settings.tags(gain / self.gains[0], self.film_focal_length)
+        tags = settings.tags(gain / self.gains[0], self.film_focal_length) | (NAMES if self.look else {})
         write_jpeg(path, photo, tags)
         return settings.as_json() | {"gain": gain, "balance": (red, green, blue)}
 

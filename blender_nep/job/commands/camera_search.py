@@ -117,13 +117,14 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
             groups = find_groups(
                 found, scratch, progress, stop, masked=masked, moving=moving, threads=search.threads, given=given
             )
-            if masked is None and still is not None and still.drift and all(photo.mask is not None for photo in found):
+            drifts = masked is None and capture is None and still is not None and still.drift
+            if drifts and all(photo.mask is not None for photo in found):
                 progress("way", len(groups[0].placed) if groups else 0, len(found))
-                photos, place = _with_masks_read(found, events), scratch / "of_object"
+                read, place = _with_masks_read(found, events), scratch / "of_object"
                 place.mkdir()
-                of_object = find_groups(photos, place, progress, stop, masked=True, threads=search.threads)
+                of_object = find_groups(read, place, progress, stop, masked=True, threads=search.threads)
                 if _agree_better(of_object, groups):
-                    found, groups, masked = photos, of_object, True
+                    found, groups, masked = read, of_object, True
             if capture is None:
                 cameras = choose(found, groups)
                 said, warnings = messages(cameras, groups)

@@ -139,5 +139,6 @@ def test_the_white_balance_evens_out_a_part_of_another_light():
 def test_groups_stand_for_their_effects():
     assert effects.chosen(["all"]) == ALL
     assert effects.chosen(["camera", "room"]) == {"room", *effects.DEVELOPMENT}
+    assert effects.chosen(["object"]) == {"long", "materials"}
     assert effects.chosen(["two_days"]) == {"two_days", "jpeg"}
     assert not effects.develops(effects.SCENE) and effects.develops(["noise", "room"])

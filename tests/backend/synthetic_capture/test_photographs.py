@@ -49,15 +49,18 @@ def test_the_test_views_and_the_ground_truth_stay_clean(clean, tmp_path):
 
 def test_all_effects_together_make_a_capture_with_exif(tmp_path):
     from blender_nep.capture import load_capture
+    from blender_nep.capture.camera_settings import expected_response
 
     synthesize(tmp_path, *SMALL, "--photograph", "all")
-    assert len(load_capture(tmp_path).views) == 3
+    capture = load_capture(tmp_path)
+    assert len(capture.views) == 3 and expected_response(capture) == 1, "EXIF names a camera, whose curve is likely"
     told = json.loads((tmp_path / "photographs.json").read_text())
     assert "two_days" in told["effects"] and [photo["day"] for photo in told["photos"]] == [0, 0, 1]
     said = []
     for photo in told["photos"]:
         with Image.open(tmp_path / photo["file_path"]) as image:
             assert image.format == "JPEG" and image.size == (24, 24)
+            assert image.getexif()[ExifTags.Base.Make] and image.getexif()[ExifTags.Base.Model]
             tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
         seconds, f_number = (float(tags[tag]) for tag in (ExifTags.Base.ExposureTime, ExifTags.Base.FNumber))
         said.append(seconds * tags[ExifTags.Base.ISOSpeedRatings] / f_number**2 / photo["gain"])
