@@ -16,8 +16,8 @@ import numpy as np
 from ..photo_lookup import PhotoLookup
 from ..plain_files import is_on_other_computer, read_json
 from .image_files import load_pixels
-from .image_size import image_size
-from .photo_formats import HEIF, RAW, color_space
+from .photos.formats import HEIF, RAW, color_space
+from .photos.image_size import image_size
 from .srgb import srgb_to_linear
 
 CAMERAS = "cameras.json"  # the engine writes it into every asset: blender_nep/asset/cameras_file.py

@@ -13,7 +13,7 @@ import numpy as np
 from ..plain_files import open_plain
 from .capture_files import Frame
 from .image_files import load_pixels
-from .photo_formats import HEIF, RAW
+from .photos.formats import HEIF, RAW
 
 MOST_PHOTOS = 5  # so many are read, spread over all; a capture without transparent pixels shows it in the first one
 BORDER = 0.8  # as in blender_nep/capture/mask_looks.py

@@ -12,7 +12,7 @@ from .capture_files import Frame
 from .color_spaces import DATA, set_color_space
 from .image_files import load_pixels, relative_path
 from .photo_alpha import shown_whole
-from .photo_formats import HEIF, RAW
+from .photos.formats import HEIF, RAW
 
 COLLECTION_NAME = "NeP cameras: {}"
 CAPTURE_KEY = "nep_capture"  # custom property of the collection: the capture's folder

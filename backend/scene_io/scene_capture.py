@@ -10,9 +10,9 @@ from ..plain_files import read_json
 from .cameras import intrinsics
 from .color_spaces import is_linear
 from .image_files import write_whole
-from .image_size import image_size
 from .photo_cameras import ASPECT_KEY, DISTORTION_KEY, MASK_KEY, SIZE_KEY
-from .photo_formats import HEIF, RAW, SHOWN
+from .photos.formats import HEIF, RAW, SHOWN
+from .photos.image_size import image_size
 
 SOURCE = "Blender scene"  # marks a transforms.json that this file has written, and that it may therefore replace
 MINIMUM_PHOTOS = 3

@@ -18,8 +18,8 @@ from backend.engine.results.batch_file import read_batch
 from backend.engine.results.capture_contents import has_cameras
 from backend.engine.results.job_files import EventFile, is_locked, last_lines, read_job
 from backend.engine.timings import remember
-from backend.scene_io.image_size import image_size
-from backend.scene_io.photo_formats import TiffHeader
+from backend.scene_io.photos.formats import TiffHeader
+from backend.scene_io.photos.image_size import image_size
 from blender_nep.batch.captures import find_captures
 from blender_nep.batch.outcome import read_report
 from blender_nep.capture.loading import describe, recognized

@@ -94,13 +94,17 @@ def skipped(evidence: Evidence, fitted: FittedMaterials) -> Message | None:
     return Message("reason.preset") if evidence.name in fitted.preset.without else evidence.skipped(fitted)
 
 
-def decide_metallic(fitted: FittedMaterials, without: Sequence[str] = ()) -> tuple[Tensor, Account]:
+def decide_metallic(
+    fitted: FittedMaterials, without: Sequence[str] = (), prior: Tensor | None = None
+) -> tuple[Tensor, Account]:
     """The metallic value of each material, as an index [K] into those of the preset: that with the least product of costs.
 
-    The prior is one of the factors. Evidence that is named in `without` is not asked.
+    `preset.metal_margin` is one of the factors, and so is `prior` [M, K], if there is one. Evidence that is named in
+    `without` is not asked.
     """
     metallic = torch.tensor(fitted.preset.metallic, device=fitted.cost.device)[:, None]
     cost = (1 + fitted.preset.metal_margin * metallic).expand(-1, len(fitted))
+    cost = cost if prior is None else cost * prior
     told: list[dict[str, dict[str, float]]] = [{} for _ in range(len(fitted))]
     for evidence in ALL:
         said = None if evidence.name in without or skipped(evidence, fitted) else evidence.of_metallic(fitted)

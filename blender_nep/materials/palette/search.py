@@ -28,6 +28,7 @@ from blender_nep.materials.fitting import (
     roughness_scan,
     weight_of_known_light,
 )
+from blender_nep.materials.metal_brightness import cost_of_darkness
 from blender_nep.materials.palette.palette import Palette, best_of, choose, error, of_classes, same_material
 from blender_nep.materials.palette.places_of_metal import PlacesOfMetal, advantage_of_metal, not_there
 from blender_nep.materials.place_colors import median_color
@@ -213,9 +214,20 @@ class PaletteSearch:
             label = torch.tensor([kept.index(k) for k in into], device=self.device)[found.label]
             found = FoundPalette(found.palette.pick(kept), label, len(found.palette) - len(kept))
         cost, albedos = self._scan(found.label_of_fits, len(kept))
-        chosen, account = decide_metallic(self._fitted(found, cost), () if by_hue else (Hue.name,))
+        without = () if by_hue else (Hue.name,)
+        chosen, account = decide_metallic(self._fitted(found, cost), without, self._plausible(cost, albedos))
         palette = of_classes(chosen, cost, albedos, p.least_roughness, p.metallic)
         return self._decided(replace(found, palette=palette, account=account), cost, albedos)
+
+    def _plausible(self, cost: Tensor, albedos: Tensor) -> Tensor:
+        """Factors [M, K] of the classes' costs: metals that are too dark to be metals cost more.
+
+        cost [M, R, K] and albedos [M, R, K, 3] are those of the hypotheses.
+        """
+        each = torch.arange(cost.shape[2], device=cost.device)
+        best = [own[at.argmin(0), each] for own, at in zip(albedos, cost, strict=True)]
+        classes = [torch.full_like(cost[0, 0], metallic) for metallic in self.preset.metallic]
+        return torch.stack([cost_of_darkness(*both) for both in zip(best, classes, strict=True)])
 
     def blended(self, found: FoundPalette) -> FoundPalette:
         """Add blends of two materials, and fit the materials to the samples that show one material alone.

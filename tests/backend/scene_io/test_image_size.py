@@ -7,8 +7,8 @@ import pytest
 import tifffile
 from PIL import Image
 
-from backend.scene_io import photo_formats
-from backend.scene_io.image_size import image_size
+from backend.scene_io.photos import formats
+from backend.scene_io.photos.image_size import image_size
 from blender_nep.capture.photos import photo_files
 from support.captures import write_exr
 from support.icc import SRGB, SRGB_CURVE, rgb_profile
@@ -60,10 +60,10 @@ def test_a_tiff_header_says_what_the_library_finds(tmp_path, kind, with_profile,
     tifffile.imwrite(path, np.ones((7, 13, 3), kind), photometric="rgb", byteorder=order, bigtiff=big, extratags=extra)
     linear = photo_files.is_linear(path)
     assert linear == (kind == "float32" and not with_profile)
-    header = photo_formats.TiffHeader(path)
+    header = formats.TiffHeader(path)
     assert header.size == (13, 7) and header.is_linear == linear
-    assert photo_formats.color_space(path) == ("linear" if linear else "srgb")
+    assert formats.color_space(path) == ("linear" if linear else "srgb")
 
 
 def test_formats_are_those_of_the_library():
-    assert {*photo_formats.SHOWN, *photo_formats.HEIF, *photo_formats.RAW} == set(photo_files.SUFFIXES)
+    assert {*formats.SHOWN, *formats.HEIF, *formats.RAW} == set(photo_files.SUFFIXES)

@@ -9,8 +9,8 @@ import struct
 import sys
 from pathlib import Path
 
-from ..plain_files import open_plain
-from .photo_formats import TiffHeader
+from ...plain_files import open_plain
+from .formats import TiffHeader
 
 JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # start-of-frame markers (ITU T.81, table B.1)
 HEADER_BYTES = 1 << 20

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import BinaryIO
 
-from ..plain_files import open_plain
+from ...plain_files import open_plain
 
 SHOWN = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 """Every Blender shows photos with these endings."""

@@ -1,0 +1,1 @@
+"""What Blender must know of photo files: their formats and sizes."""
