@@ -128,6 +128,8 @@ def test_the_class_has_the_least_product_of_all_costs(monkeypatch, without, expe
     assert chosen.tolist() == expected
     assert {name for told in account.told for name in told} == {"residual", "hue"} - set(without)
     assert decide_metallic(materials(), without=("hue",))[0].tolist() == [0, 0, 0], "as long as the hue is not asked"
+    dark = torch.tensor([[1.0, 1.0, 1.0], [1.3, 1.0, 1.0]])  # the first is too dark for a metal
+    assert decide_metallic(materials(*without), prior=dark)[0].tolist() == [0, *expected[1:]]
 
 
 def test_the_account_says_why_evidence_did_not_act():

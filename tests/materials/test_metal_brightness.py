@@ -1,9 +1,19 @@
 """How bright metals are likely to be. What that does to a metal's light is tested in tests/shading/test_unseen_light.py."""
 
+import numpy as np
 import pytest
 import torch
 
-from blender_nep.materials.metal_brightness import COLORED, GRAY, brightened, likely_brightness, missing_brightness
+from blender_nep.materials.metal_brightness import (
+    COLORED,
+    DARK_COST,
+    DARKEST,
+    GRAY,
+    brightened,
+    cost_of_darkness,
+    likely_brightness,
+    missing_brightness,
+)
 
 IRON, SILVER, GOLD, COPPER = (0.56, 0.57, 0.58), (0.97, 0.96, 0.91), (1.0, 0.77, 0.34), (0.95, 0.64, 0.54)
 
@@ -35,3 +45,19 @@ def test_a_black_albedo_is_finite():
     black = torch.zeros(1, 3)
     assert torch.isfinite(missing_brightness(black, torch.ones(1))).all()
     assert torch.isfinite(brightened(black, torch.ones(1), 4.0)).all()
+
+
+@pytest.mark.parametrize(
+    ("albedo", "share"),
+    [
+        ([0.2, 0.19, 0.12], COLORED * DARKEST / 0.2),  # tarnished brass: 1 % more
+        ([GRAY * DARKEST, GRAY * DARKEST, GRAY * DARKEST], 1.0),
+        ([0.055, 0.055, 0.055], 2.5),  # as dark as the coat of a black paint
+        ([0.0, 0.0, 0.0], None),
+    ],
+)
+def test_a_metal_costs_more_the_darker_it_is(albedo, share):
+    """share: the brightness from which on darkness costs nothing, divided by that of the metal."""
+    cost = cost_of_darkness(torch.tensor([albedo, albedo]), torch.tensor([1.0, 0.0]))
+    assert cost[1] == 1, "a dielectric may be dark"
+    assert cost[0] == pytest.approx(1 + DARK_COST * np.log(share), abs=0.01) if share else 2 < cost[0] < 5
