@@ -30,10 +30,12 @@ TILT_GAIN = 1.05
 """By this factor the correlation must rise before the plane is tilted against the upward direction of the cameras."""
 _WIDTHS = (0.15, 0.5, 1.0)
 """The plane is sought in rings of these widths around the object's sphere: a plate may end soon, and a plain table may show
-something only farther away."""
+something only farther away. The ring counts in which the plane stands out most."""
 _INNER = 0.75
 """It is refined in a ring that begins in the sphere, at this share of the radius of the plane's disc in it: a plate may end
 there. The object hides little of that."""
+_LEAST_ELSEWHERE = 0.002
+"""Smaller correlations at wrong heights are chance."""
 _POINTS = 1600
 """Number of points of a ring"""
 _LEAST_VIEWS, _LEAST_POINTS = 4, 40
@@ -49,14 +51,17 @@ def plane_by_details(photos: SmallPhotos, planes: list[Support]) -> Support | No
     """The plane near one of `planes`, which differ in height alone, on whose details the photos agree. None without one."""
     details = photos.details(FINE)
     heights = np.array([plane.height for plane in planes])
+    most, chosen = STANDS_OUT, None
     for width in _WIDTHS:
         found = np.array([correlation(details, _ring(plane, plane.radius, width)) for plane in planes])
         best = int(found.argmax())
         elsewhere = found[np.abs(heights - heights[best]) > APART]
-        stands_out = len(elsewhere) > 0 and found[best] >= max(LEAST_CORRELATION, STANDS_OUT * elsewhere.max())
-        if stands_out and 0 < best < len(planes) - 1:
-            return _refined(details, planes[best], width)
-    return None
+        if found[best] < LEAST_CORRELATION or not 0 < best < len(planes) - 1 or not len(elsewhere):
+            continue
+        stands_out = found[best] / max(float(elsewhere.max()), _LEAST_ELSEWHERE)
+        if stands_out >= most:
+            most, chosen = stands_out, (planes[best], width)
+    return None if chosen is None else _refined(details, *chosen)
 
 
 def correlation(details: SmallPhotos, points: np.ndarray) -> float:
