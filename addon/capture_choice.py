@@ -4,12 +4,13 @@ An output folder that the artist has named stays, but not if the result of other
 that object as the one of these photos, and *Start Again* would replace it.
 """
 
+import os
 from pathlib import Path
 
 import bpy
 
 from ..backend.engine.results.capture_contents import has_cameras, has_masks
-from ..backend.plain_files import read_json
+from ..backend.plain_files import is_on_other_computer, read_json
 from . import folder_changes
 from .folders import folder_key, resolve_folder
 
@@ -38,11 +39,15 @@ def on_capture_chosen(scene: bpy.types.Scene) -> None:
 
 def _is_of_others(output: Path | None, capture: Path) -> bool:
     """Whether the output folder holds the result of another capture, which is still where it was."""
+    if output is None:
+        return False
     try:
-        made_of = Path(read_json(output / "report.json")["capture"]["folder"]) if output is not None else capture
+        made_of = read_json(output / "report.json")["capture"]["folder"]
     except (OSError, ValueError, KeyError, TypeError):
         return False
-    return folder_key(made_of) != folder_key(capture) and made_of.is_dir()
+    if not isinstance(made_of, str) or is_on_other_computer(made_of, output):
+        return False
+    return folder_key(Path(made_of)) != folder_key(capture) and os.path.isdir(made_of)
 
 
 def _is_part(folder: Path) -> bool:

@@ -11,7 +11,7 @@ ICON = 20  # width of an icon, in the same pixels
 UNKNOWN_WIDTH = 280  # of a sidebar, where the context has no region
 NARROW = 200  # a panel with less width has the names of settings above their fields
 BUTTON = 16  # margins of a text in a button, in pixels at an interface scale of 1
-STEADY_LINES = 4
+STEADY_LINES = 4  # what a running search or job says of itself, where one of its three texts is wrapped
 SHORTEST_LINE = "m" * 6  # a line is never narrower than this text
 
 

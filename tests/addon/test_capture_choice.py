@@ -41,8 +41,14 @@ def check_choice(folder):
     assert settings.output == str(folder / "my own"), "the artist's choice stays"
     report = folder / "my own" / "report.json"
     report.parent.mkdir()
-    for made_of, kept in (("capture", True), ("moved", True), ("images", False)):
-        report.write_text(json.dumps({"capture": {"folder": str(folder / made_of)}}))
+    for made_of, kept in (
+        (str(folder / "capture"), True),
+        (str(folder / "moved"), True),
+        (f"/{folder / 'images'}", True),  # it begins with two slashes, as folders of other computers do
+        (7, True),
+        (str(folder / "images"), False),
+    ):
+        report.write_text(json.dumps({"capture": {"folder": made_of}}))
         settings.output = str(folder / "my own")
         settings.capture = str(folder / "capture")
         assert settings.output == str(folder / ("my own" if kept else "capture_result")), "the result of other photos"

@@ -311,7 +311,7 @@ def test_a_cut_out_among_photos_with_masks_is_its_own_mask(ball, inverted):
     of_photo = slice(rays.offset[2], rays.offset[3])
     shown = rays.valid[of_photo].numpy().reshape(SIZE, SIZE)
     if inverted:
-        assert "capture.masks_lacking" in codes(rays.warnings) and not shown.any()
+        assert "capture.masks_lacking" in codes(rays.warnings) and not shown.any() and rays.background
         return
     (news,) = (message for message in rays.warnings if "mask" in message.code)
     assert news.code == "capture.alpha_for_mask" and news.values["names"] == ["002"] and rays.background

@@ -16,7 +16,10 @@ _FIRST_PLACE = 8
 
 
 def exif(tags: dict[int, int | Fraction | str]) -> bytes:
-    """The JPEG segment with these EXIF tags. A whole number is below 65536, the parts of a fraction are below 2**32."""
+    """The JPEG segment with these EXIF tags. A whole number is below 65536, the parts of a fraction are below 2**32.
+
+    A text has four characters or more. A shorter one would have to stand in its entry.
+    """
     of_image = {tag: value for tag, value in tags.items() if tag in _OF_IMAGES}
     place = _FIRST_PLACE + len(_directory(of_image, 0, sub_directory=0))
     tiff = struct.pack("<2sHI", b"II", 42, _FIRST_PLACE) + _directory(of_image, _FIRST_PLACE, sub_directory=place)

@@ -245,8 +245,10 @@ class PixelRays:
         by_alpha = photos_masked_by_alpha(capture) if use_masks else []
         lacking = photos_without_masks(capture, by_alpha) if use_masks else []
         for photo, camera, size in zip(decoded(capture, factors, use_masks), cameras, sizes, strict=True):
-            if len(facts) in lacking and photo.mask is None:
-                photo.mask, photo.facts.has_mask = np.zeros(len(photo.valid), np.uint8), True
+            if len(facts) in lacking:  # it is left out, so its alpha says nothing about the other photos
+                photo.facts.cut_out = False
+                if photo.mask is None:
+                    photo.mask, photo.facts.has_mask = np.zeros(len(photo.valid), np.uint8), True
             if len(facts) in by_alpha and photo.mask is not None:  # what was cut away is known from other photos
                 photo.valid[photo.mask <= 127], photo.facts.cut_out = False, False
             facts.append(photo.facts)

@@ -110,7 +110,9 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
             if turned and all(photo.mask is not None for photo in found):
                 masked = True
         if masked is not None:
-            found = _with_masks_read(found, events)
+            found, of_masks = _with_masks_read(found)
+            for warning in of_masks:
+                events.warning(warning)
         given = None if capture is None else [view.camera for view in capture.views]
         with working_folder() as scratch:
             moving = still.moving if still is not None and masked is None else None
@@ -118,13 +120,11 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
                 found, scratch, progress, stop, masked=masked, moving=moving, threads=search.threads, given=given
             )
             drifts = masked is None and capture is None and still is not None and still.drift
-            if drifts and all(photo.mask is not None for photo in found):
-                progress("way", len(groups[0].placed) if groups else 0, len(found))
-                read, place = _with_masks_read(found, events), scratch / "of_object"
-                place.mkdir()
-                of_object = find_groups(read, place, progress, stop, masked=True, threads=search.threads)
-                if _agree_better(of_object, groups):
-                    found, groups, masked = read, of_object, True
+            by_masks = _by_masks(found, groups, scratch, progress, stop, search.threads) if drifts else None
+            if by_masks is not None:
+                found, groups, of_masks = by_masks
+                for warning in of_masks:
+                    events.warning(warning)
             if capture is None:
                 cameras = choose(found, groups)
                 said, warnings = messages(cameras, groups)
@@ -204,12 +204,31 @@ def _write_with_frames(cameras: FoundCameras, folder: Path, scratch: Path) -> No
         raise
 
 
-def _with_masks_read(photos: list[Photo], events: Events) -> list[Photo]:
-    """The photos with what their masks mean, about which warnings are sent. Raises CaptureError."""
-    reading, said = read_photo_masks([photo.mask for photo in photos if photo.mask is not None])
-    for warning in said:
-        events.warning(warning)
-    return [replace(photo, mask_reading=reading) for photo in photos]
+def _with_masks_read(photos: list[Photo]) -> tuple[list[Photo], list[Message]]:
+    """The photos with what their masks mean, and warnings about it. Raises CaptureError."""
+    reading, warnings = read_photo_masks([photo.mask for photo in photos if photo.mask is not None])
+    return [replace(photo, mask_reading=reading) for photo in photos], warnings
+
+
+def _by_masks(
+    photos: list[Photo], groups: list[Group], scratch: Path, progress: _Progress, stop: StopRequest, threads: int | None
+) -> tuple[list[Photo], list[Group], list[Message]] | None:
+    """The photos, their groups by features on the object alone, and warnings about the masks.
+
+    None where a photo has no mask, or where these groups do not agree much better than `groups`. `scratch` is a folder for
+    files of the search. Raises Stopped on request.
+    """
+    if any(photo.mask is None for photo in photos):
+        return None
+    place = scratch / "of_object"
+    place.mkdir()
+    try:
+        read, warnings = _with_masks_read(photos)
+        progress("way", len(groups[0].placed) if groups else 0, len(photos))
+        of_object = find_groups(read, place, progress, stop, masked=True, threads=threads)
+    except CaptureError:  # a mask cannot be read; cameras are there without masks, too
+        return None
+    return (read, of_object, warnings) if _agree_better(of_object, groups) else None
 
 
 def _agree_better(of_object: list[Group], groups: list[Group]) -> bool:

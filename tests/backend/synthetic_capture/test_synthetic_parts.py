@@ -21,6 +21,7 @@ def check_options():
     for words, message in (
         ("--random 3 --seed 5", "--seed has no effect with --random"),
         ("--random 3 --seed 0", "--seed has no effect with --random"),
+        ("--random 3 --fast", "--fast has no effect with --random"),
         ("--random 3 --snapshots", "--snapshots has no effect with --random"),
         ("--random 3 --material gold", "--material has no effect with --random"),
         ("--meshes a.ply", "--meshes has no effect without --random"),
@@ -46,6 +47,27 @@ def check_options():
         assert found == 2 and message in said.getvalue(), (words, found, said.getvalue())
     assert synthetic.parse(["--out", "x", "--random", "2147483647", "--meshes", "a.ply"]).random == 2**31 - 1
     assert synthetic.parse(["--out", "x", "--seed", "7"]).seed == 7 and synthetic.parse(["--out", "x"]).seed == 0
+
+
+def test_fast_changes_how_the_scene_is_rendered(tmp_path):
+    in_blender(check_fast, tmp_path)
+
+
+def check_fast(folder):
+    import bpy
+
+    from backend import synthetic
+
+    rendered_with = []
+
+    def settings(*_):
+        cycles = bpy.context.scene.cycles
+        rendered_with.append((cycles.denoising_prefilter, cycles.use_light_tree))
+
+    synthetic.write_capture = settings
+    for options in ([], ["--fast"], ["--photograph", "room", "--fast"]):
+        assert synthetic.main(["--scene", "box", "--views", "3", "--out", str(Path(folder) / "none"), *options]) == 0
+    assert rendered_with == [("ACCURATE", True), ("FAST", False), ("FAST", False)]
 
 
 def test_a_mesh_file_that_cannot_be_used_is_told_with_its_path(tmp_path):
