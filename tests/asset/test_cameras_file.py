@@ -96,7 +96,7 @@ def test_the_sidebar_asks_the_engine_for_bounds_of_other_forms(make_capture):
         read_bounds(tiny.folder / "nowhere")
 
 
-def test_the_object_of_a_turntable_stands_still_in_the_first_photo(make_capture, tmp_path):
+def test_the_object_of_a_turntable_rests_in_the_first_photo(make_capture, tmp_path):
     """The engine's room may be that of another photo: what counts is how the object moved since the first one."""
     capture = load_capture(make_capture(views=4).folder)
     turns = [np.eye(4) for _ in capture.views]

@@ -211,7 +211,7 @@ def test_photos_agree_with_their_cameras_alone(wall):
 
 
 @pytest.mark.parametrize(("orientation", "turns"), [(6, 1), (8, 3), (5, 1), (7, 3)])
-def test_a_camera_of_the_upright_photo_is_turned_to_the_stored_one(tmp_path, orientation, turns):
+def test_the_upright_photos_camera_is_turned_to_the_stored_one(tmp_path, orientation, turns):
     """x', y' in the upright photo of 180 x 240 pixels; x, y in the stored one of 240 x 180."""
     keys = {"w": 180, "h": 240, "fl_x": 230.0, "fl_y": 231.0, "cx": 85.0, "cy": 125.0}
     keys |= {"k1": -0.2, "k2": 0.05, "p1": 0.003, "p2": -0.005}

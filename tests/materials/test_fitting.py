@@ -137,7 +137,7 @@ def test_a_metal_with_misplaced_reflections_keeps_its_brightness():
     torch.testing.assert_close(found[0, j, 0], albedo, rtol=0.04, atol=0.01)
 
 
-def test_samples_count_alike_where_photos_show_little_of_the_light():
+def test_samples_count_alike_where_photos_show_little_light():
     """After a walk the photos show most of the light, on a turntable a tenth, and cut-outs show none."""
     share = torch.linspace(0, 1, 20)[:, None].expand(20, 5)
     walk, turntable, cut_outs = (replace(lit(20), coverage=part) for part in (share, (share > 0.9).float(), 0 * share))

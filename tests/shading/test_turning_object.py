@@ -54,7 +54,7 @@ def test_chosen_and_joined_points_keep_their_motions() -> None:
     torch.testing.assert_close(joined.in_room(joined.normal), points.in_room(points.normal)[[4, 1, 0]])
 
 
-def test_irradiance_is_averaged_over_what_faces_the_same_way_in_the_room() -> None:
+def test_irradiance_is_averaged_over_what_faces_one_way_in_the_room() -> None:
     f_p = mirror_ball()
     one = seen_points(f_p, None, 1)
     times = 40

@@ -275,7 +275,7 @@ def test_a_roughness_at_its_limit_is_not_tried_again(ball):
     assert len(trials) == 1, "only the light of the palette as it is"
 
 
-def test_where_no_photo_shows_the_light_a_dark_metal_becomes_bright():
+def test_in_light_that_no_photo_shows_a_dark_metal_gets_bright():
     ball, label = ball_in(NothingShown()), torch.zeros(4000, dtype=torch.int64)
     dark = Palette(torch.tensor([[0.3, 0.2, 0.08]]), torch.tensor([0.2]), torch.ones(1))
     target = photographed_under_a_lamp(ball, dark.at(label))
