@@ -372,7 +372,7 @@ def test_two_rows_of_a_turntable_are_said_to_be_on_one_side(tmp_path):
     assert [w["values"]["rows"] for w in warnings if w["code"] == "capture.turntable_side"] == [2]
 
 
-def test_cameras_that_fit_no_turntable_are_described_all_the_same(tmp_path, capsys):
+def test_cameras_that_fit_no_turntable_are_described_anyhow(tmp_path, capsys):
     """A job would end. `info` says all that it knows, and that."""
     _, found = on_turntable((20,))
     rng = np.random.default_rng(0)

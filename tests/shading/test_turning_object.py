@@ -34,7 +34,7 @@ def seen_points(f_p: PlenopticFunction, motion: RigidMotions | None, count: int)
     return f_p.points(face, np.full((count, 3), 1 / 3, np.float32), view, motion)
 
 
-def test_a_mirror_ball_that_turns_shows_a_light_that_stands_still() -> None:
+def test_a_mirror_ball_that_turns_shows_a_light_that_is_still() -> None:
     f_p, motion = mirror_ball(), turned_about_z([0.05 * k for k in range(100)], axis=(0.1, 0.0))
     points = seen_points(f_p, motion, 100)
     angle = torch.full((100,), 0.02)
@@ -54,7 +54,7 @@ def test_chosen_and_joined_points_keep_their_motions() -> None:
     torch.testing.assert_close(joined.in_room(joined.normal), points.in_room(points.normal)[[4, 1, 0]])
 
 
-def test_irradiance_is_averaged_over_what_faces_one_way_in_the_room() -> None:
+def test_irradiance_is_averaged_over_one_side_in_the_room() -> None:
     f_p = mirror_ball()
     one = seen_points(f_p, None, 1)
     times = 40
@@ -67,7 +67,7 @@ def test_irradiance_is_averaged_over_what_faces_one_way_in_the_room() -> None:
 
 
 @pytest.mark.slow
-def test_materials_are_found_on_an_object_that_turns_in_the_light() -> None:
+def test_materials_are_found_on_an_object_that_turns_in_light() -> None:
     turntable = turned_about_z([0.6 * k for k in range(10)])
     photos = make_photos(constant([0.7, 0.3, 0.1], 0.3, 0.0), turntable=turntable)
     found = learn(unwrapped_ball(), photos)
