@@ -166,6 +166,8 @@ WORDS: dict[str, str] = {
     "cameras.placed": "{count} of {photos} photos were placed; their features agree within {error:.2f} pixels",
     "cameras.turntable": "in {percent:.0f} % of the photos the surroundings stand still: taken as a turntable, so only "
     "features on what turned were used",
+    "cameras.by_masks": "only features on the object of the masks were used, because those on the surroundings contradict "
+    "them. The object may have turned on a turntable",
     "cameras.turntable_shifted": "in {percent:.0f} % of the photos the surroundings stand still, but shifted. "
     "Features on them were used, too. If the object turned on a turntable, put masks of the object into PHOTOS/masks, and "
     "give --turntable yes",

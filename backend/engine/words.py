@@ -74,6 +74,8 @@ MESSAGES = {
     "cameras.placed": "{count} of {photos} photos were placed. The details that they share agree within {error:.2f} pixels.",
     "cameras.turntable": "In {percent:.0f} % of the photos the surroundings stand still: taken as a turntable, so only "
     "details on what turned were used.",
+    "cameras.by_masks": "Only details on the object of the masks were used, because those on the surroundings contradict "
+    "them. The object may have turned on a turntable",
     "cameras.turntable_shifted": "In {percent:.0f} % of the photos the surroundings stand still, but shifted. "
     "Details of the surroundings were used, too. If the object turned on a turntable, put masks of the object into the "
     "folder masks",

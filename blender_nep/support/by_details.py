@@ -21,9 +21,9 @@ FINE = 4.0
 """Details are finer than this, in rows of the small photos. What is wider is shading and gloss."""
 LEAST_CORRELATION, STANDS_OUT = 0.03, 2.0
 """A plane has at least the first correlation, and the second number times that of all heights that are APART away. Measured
-on a carpet in three selections of hand-held photos: 0.08 to 0.10, and 3 to 9 times. On a table, plates and glossy tables:
-0.04 to 0.6, and 2 to 14 times. At most 0.01 for seven objects without a table, with the photos from above only, and 0.026
-for a real cape."""
+on a carpet in three selections of hand-held photos: 0.065 to 0.091, and 2.5 to 10 times. On three rendered tables: 0.039 to
+0.55, and 2.6 to 20 times. At most 0.007 for seven objects without a table, with the photos from above only, and 0.026 for a
+real cape."""
 APART = 0.08
 """Heights that differ by more, in object radii, are other planes."""
 TILT_GAIN = 1.05

@@ -168,9 +168,9 @@ def test_drifting_surroundings_are_judged_by_the_masks(turned, tmp_path, monkeyp
     drifting = StillSurroundings(0.0, True, None, drift=True)
     monkeypatch.setattr(camera_search, "find_groups", groups)
     monkeypatch.setattr(camera_search, "look_for_still_surroundings", lambda photos, report: drifting)
-    code, _, warnings = searched(tmp_path / "photos", tmp_path / "out")
+    code, said, warnings = searched(tmp_path / "photos", tmp_path / "out")
     assert code == 0 and asked == ([None, True] if masks == "read" else [None])
-    assert ("capture.masks_background" in warnings) is better
+    assert ("capture.masks_background" in warnings) is ("cameras.by_masks" in said) is better
     found = [view.camera for view in load_capture(tmp_path / "out", use_masks=False).views]
     off = errors(found, cameras, printed_turntable.CENTER)
     assert (off["rotation_deg_largest"] < 0.01) is better

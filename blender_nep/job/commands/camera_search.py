@@ -110,8 +110,8 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
             if turned and all(photo.mask is not None for photo in found):
                 masked = True
         if masked is not None:
-            found, of_masks = _with_masks_read(found)
-            for warning in of_masks:
+            found, of_meaning = _with_masks_read(found)
+            for warning in of_meaning:
                 events.warning(warning)
         given = None if capture is None else [view.camera for view in capture.views]
         with working_folder() as scratch:
@@ -122,12 +122,13 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
             drifts = masked is None and capture is None and still is not None and still.drift
             by_masks = _by_masks(found, groups, scratch, progress, stop, search.threads) if drifts else None
             if by_masks is not None:
-                found, groups, of_masks = by_masks
-                for warning in of_masks:
+                found, groups, of_meaning = by_masks
+                for warning in of_meaning:
                     events.warning(warning)
             if capture is None:
                 cameras = choose(found, groups)
                 said, warnings = messages(cameras, groups)
+                said += [] if by_masks is None else [Message("cameras.by_masks")]
                 sure = still is not None and still.turntable and not still.shifted and _form_rows(cameras)
                 cameras = replace(cameras, turntable=told if told is not None or not sure else True)
                 if told is None and still is not None and still.turntable:
