@@ -1,15 +1,25 @@
 """How bright the photos of a capture are.
 
 Losses compare tone-mapped radiance. The tone mapping is nearly linear in dark photos, so the same relative error counts less
-there, and the priors, whose weights are fixed, count more. So all captures are brought to about the same brightness.
+there, and the priors, whose weights are fixed, count more. So all captures are brought to about the same brightness. Where
+the object is much darker than its surroundings, as bronze before a white wall, photos and surroundings together are made
+brighter, so that the object is not too dark.
 """
 
 from __future__ import annotations
+
+import torch
+from torch import Tensor
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
 
 MOST_EXPOSURE = 1024.0
 """Largest exposure, and the inverse of the smallest one."""
+DARKEST_OBJECT = 0.5
+"""The object is at least this many times as bright as all that sees its sphere. Rendered objects and a gilt cape have 0.6 to
+2, a brass blowtorch has 0.3, a blackened bronze head 0.17 (docs/lab/brightness.md)."""
+_NEAR = 0.25
+"""Without masks, rays that pass the sphere's center at most so far away, in its radii, are taken for the object's."""
 
 
 def typical_radiance(rays: PixelRays, of_object: bool = False, pixels: int = 10_000) -> float:
@@ -21,6 +31,21 @@ def typical_radiance(rays: PixelRays, of_object: bool = False, pixels: int = 10_
     index = rays.sphere[:: max(1, len(rays.sphere) // pixels)]
     if of_object and rays.mask is not None and (rays.mask[index] > 127).any():
         index = index[rays.mask[index] > 127]
+    return _typical(rays, index)
+
+
+def radiance_of_object(rays: PixelRays, pixels: int = 10_000) -> float:
+    """As `typical_radiance`, of the object alone: of its masks, or of what is seen near the sphere's center."""
+    index = rays.sphere[:: max(1, len(rays.sphere) // pixels)]
+    if rays.mask is not None:
+        own = rays.mask[index] > 127
+    else:
+        bundle = rays.rays(index)
+        own = torch.linalg.cross(bundle.origins, bundle.directions).norm(dim=-1) < _NEAR
+    return _typical(rays, index[own]) if own.any() else typical_radiance(rays, pixels=pixels)
+
+
+def _typical(rays: PixelRays, index: Tensor) -> float:
     radiance = rays.photo(index)
     brightness = radiance.mean(-1)
     lit = brightness > 0.01 * brightness.quantile(0.9)
@@ -28,6 +53,10 @@ def typical_radiance(rays: PixelRays, of_object: bool = False, pixels: int = 10_
 
 
 def to_brightness(rays: PixelRays, brightness: float) -> PixelRays:
-    """The same pixels, with the exposure that makes their typical radiance equal to `brightness`."""
-    exposure = rays.exposure * brightness / typical_radiance(rays)
+    """The same pixels, with the exposure that makes their typical radiance equal to `brightness`.
+
+    The exposure is longer where the object would be darker than DARKEST_OBJECT times `brightness`.
+    """
+    typical = min(typical_radiance(rays), radiance_of_object(rays) / DARKEST_OBJECT)
+    exposure = rays.exposure * brightness / typical
     return rays.with_exposure(min(max(exposure, 1 / MOST_EXPOSURE), MOST_EXPOSURE))

@@ -6,7 +6,13 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.capture.brightness import MOST_EXPOSURE, to_brightness, typical_radiance
+from blender_nep.capture.brightness import (
+    DARKEST_OBJECT,
+    MOST_EXPOSURE,
+    radiance_of_object,
+    to_brightness,
+    typical_radiance,
+)
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.scene.scene import Scene
 from support.brief_preset import brief_preset
@@ -38,6 +44,40 @@ def test_photos_of_any_exposure_become_equally_bright(rays, factor):
     assert torch.equal(bright.radiance, darker(rays, factor).radiance), "what the files hold is still known"
     again = to_brightness(bright, 0.18)
     assert again.exposure == pytest.approx(bright.exposure, rel=1e-4)
+
+
+def near_center(rays, width=0.25):
+    """Which pixels see within `width` of the sphere's center: the nearest of many points of each ray decides."""
+    bundle = rays.rays(torch.arange(rays.count))
+    nearest = torch.full((rays.count,), torch.inf)
+    for t in torch.linspace(0, 10, 2001):
+        nearest = torch.minimum(nearest, (bundle.origins + t * bundle.directions).norm(dim=-1))
+    return nearest < width
+
+
+def with_object(rays, own, radiance):
+    """The same photos, where the pixels `own` have this radiance and all others have a radiance of 0.5."""
+    pixels = torch.where(own, radiance, 0.5)[:, None].expand(-1, 3)
+    return replace(rays, radiance=pixels.to(rays.radiance.dtype).contiguous())
+
+
+def test_a_dark_object_is_found_near_the_center(rays):
+    dark = with_object(rays, near_center(rays), 0.01)
+    assert radiance_of_object(dark, pixels=rays.count) == pytest.approx(0.01, rel=0.05)
+    assert typical_radiance(dark, pixels=rays.count) > 0.1
+
+
+def test_masks_say_what_the_object_is():
+    rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 2_000, True)
+    dark = with_object(rays, rays.mask > 127, 0.02)
+    assert radiance_of_object(dark, pixels=rays.count) == pytest.approx(0.02, rel=1e-3)
+
+
+def test_a_dark_object_becomes_bright_enough(rays):
+    """Bronze before a white wall was too dark for the losses, though the photos were bright."""
+    dark, even = (to_brightness(with_object(rays, near_center(rays), of), 0.18) for of in (0.01, 0.4))
+    assert radiance_of_object(dark) == pytest.approx(DARKEST_OBJECT * 0.18, rel=0.05)
+    assert typical_radiance(even) == pytest.approx(0.18, rel=1e-4), "an object that is not dark changes nothing"
 
 
 def test_black_photos_are_not_made_bright_without_end(rays):

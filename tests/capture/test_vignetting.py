@@ -3,11 +3,13 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.doctor.summary import describe, summarize
+from blender_nep.capture.exposure.surroundings import compare_exposures
 from blender_nep.capture.rays.vignetting import Vignetting
 from blender_nep.scene.photo_analysis import PhotoAnalysis
 from support.exposures import find_exposures
@@ -62,6 +64,15 @@ def test_a_known_vignetting_is_found_and_divided_out(rays, lens):
 def test_nothing_is_found_without_vignetting_or_dark_corners(rays):
     assert find_exposures(rays).vignetting is None
     assert find_exposures(seen_through(rays, Vignetting(0.5, 0.2))).vignetting is None
+
+
+def test_a_dark_ring_is_no_vignetting(rays):
+    """Seen in photos of a museum's turntable: the logarithm falls to -2.4 at three quarters of the way, and rises again."""
+    ring = Vignetting(-8.6, 7.8)
+    assert not ring.darkest_at_corners and HALF_A_STOP.darkest_at_corners and A_STOP.darkest_at_corners
+    compared = compare_exposures(seen_through(rays, A_STOP))
+    assert compared.vignetting is not None
+    assert replace(compared, falloff=np.array([ring.square, ring.fourth])).vignetting is None
 
 
 def test_an_artist_is_told(rays, monkeypatch):

@@ -278,3 +278,18 @@ def test_tarnish_varies_within_places_of_metal(ball):
     shown = found.albedo[known][clear][metal, 0]
     truth = 0.9 * (0.6 + 0.35 / (1 + np.exp(-6 * points[clear][metal, 1])))
     assert np.corrcoef(shown, truth)[0, 1] > 0.95 and np.abs(shown - truth).mean() < 0.06
+
+
+def test_tarnish_varies_on_an_object_of_metal(ball):
+    """Its class is not in doubt, so segments that explain a little more are enough, and all of them are metal."""
+
+    def tarnished(points):
+        bright = 0.65 + 0.35 * torch.sin(8 * points[:, :1]) * torch.cos(5 * points[:, 1:2])
+        return bright * torch.tensor([0.9, 0.7, 0.4]), torch.full((len(points),), 0.25), torch.ones(len(points))
+
+    found = learn(ball, make_photos(tarnished), MORE)
+    assert found.report["segments"] > 50
+    assert MORE.varied_gain_of_metal < found.report["varied_gain"] < MORE.varied_gain
+    assert (found.metallic > 0.99).all()
+    few = learn(ball, make_photos(tarnished), FEW)
+    assert errors(ball, found, tarnished)[0] < 0.3 * errors(ball, few, tarnished)[0]

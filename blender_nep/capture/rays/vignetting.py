@@ -38,3 +38,9 @@ class Vignetting:
     def corner_stops(self) -> float:
         """Stops by which the corners are brighter than the middle; negative where they are darker."""
         return float(self.at(torch.ones(1, dtype=torch.float64)).log2())
+
+    @property
+    def darkest_at_corners(self) -> bool:
+        """Whether photos are nowhere darker than in their corners. No lens makes a dark ring around a brighter rim."""
+        ring = torch.linspace(0, 1, 101, dtype=torch.float64)
+        return bool((self.at(ring) >= self.at(ring[-1:]) * (1 - 1e-6)).all())

@@ -83,8 +83,11 @@ class VariedLearning:
         gain = gain_of_segments(search, palette, segments)
         self.report.varied_gain = round(gain, 4)
         # Segments that explain hardly more tell no class, where whole materials do not. But tarnish makes a metal vary.
-        metal = palette.metal if gain < p.varied_gain else None
-        if gain < (p.varied_gain if metal is None else p.varied_gain_of_unclear):
+        metal = None if gain >= p.varied_gain else _places_of_metal(palette)
+        least = p.varied_gain if metal is None else p.varied_gain_of_unclear
+        if metal is not None and metal.all():
+            least = p.varied_gain_of_metal
+        if gain < least:
             self._skip(Message("reason.palette_explains"))
             return None
         lit = with_more_samples(
@@ -122,3 +125,10 @@ class VariedLearning:
 
     def _skip(self, why: Message) -> None:
         self.report.skipped[str(Part.VARIED_MATERIALS)] = why.state()
+
+
+def _places_of_metal(palette: FoundPalette) -> np.ndarray | None:
+    """Which samples [n] bool lie on metal, if that is known without the segments: by edges of color, or all."""
+    if palette.metal is None and bool((palette.palette.metallic > 0.5).all()):
+        return np.ones(len(palette.label), bool)
+    return palette.metal
