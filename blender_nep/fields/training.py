@@ -132,7 +132,8 @@ class FieldsLearning(StageOne):
         return torch.cat([clear, veiled, *others]), len(clear)
 
     def _refine_environment(self) -> None:
-        if environment_training.refine(self.environment, self.rays, self.background, self.schedule.environment_fraction):
+        done = self.schedule.step, self.schedule.environment_fraction
+        if environment_training.refine(self.environment, self.rays, self.background, *done):
             self.optimizers.restart("environment")
 
     @profiled("held-out error")
