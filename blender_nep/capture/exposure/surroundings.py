@@ -56,10 +56,9 @@ MOST_LEFT = 0.85
 where all photos share one exposure, 0.74 to 0.80 where exposures differ by a quarter of a stop, 0.24 to 0.37 with automatic
 exposure."""
 MOST_LEFT_STILL = 0.65
-"""The same on a turntable, where each place of the still room lies at one place of all photos. Measured: 0.997 where all photos
-share one exposure; 0.69, 0.43 and 0.22 where exposures differ by a tenth, a quarter and half a stop. A real turntable, whose
-still pixels differ by less than a tenth of a stop, has 0.82, because its photos were cropped and its plate turns.
-"""
+"""The same on a turntable, where each place of the still room lies at one place of all photos. Measured: 0.997 where all
+photos share one exposure; 0.69, 0.43 and 0.22 where exposures differ by a tenth, a quarter and half a stop. A real
+turntable, whose still pixels hardly differ, has 0.82, because its photos were cropped and its plate turns."""
 MOST_ERROR = 0.03
 """Largest error of the gains' logarithms, median over the photos. The error is estimated from two solutions, each of which
 uses one half of the cells. Measured: 0.005 to 0.008; 0.09 where the object fills the photos."""

@@ -65,8 +65,8 @@ def refine(
 ) -> bool:
     """Bring F_e to what is due after `step` steps: a finer grid, or the decision on its color detail.
 
-    These steps are the `fraction` of its learning, 0..1. `background` are the pixels (indices) whose rays decide. True if F_e has new parameters, so that its optimizer must be
-    made again.
+    These steps are the `fraction` of its learning, 0..1. `background` are the pixels (indices) whose rays decide. True if
+    F_e has new parameters, so that its optimizer must be made again.
     """
     preset, changed = environment.preset, environment.refine(fraction)
     if environment.known and step >= preset.detail_step and not environment.detail_decided:
