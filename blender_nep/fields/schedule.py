@@ -24,7 +24,7 @@ class Schedule:
 
     preset: FieldsPreset
     background_steps: int
-    """Number of steps of F_e alone, the first ones. There are more if F_e begins anew."""
+    """Number of steps of F_e alone, the first ones."""
     step: int = 0
     """Number of steps that were taken, of each kind."""
     learned: int = 0
@@ -158,10 +158,6 @@ class Schedule:
         are learned before it."""
         self.from_hull = True
 
-    def begin_background_anew(self) -> None:
-        """Note that F_e has begun anew: the steps of F_e alone that were taken do not count."""
-        self.background_steps += self.step
-
     def advance(self) -> None:
         """Count a step that was taken."""
         if self.learns_shape:
@@ -172,7 +168,6 @@ class Schedule:
         """How far the learning is, for a checkpoint."""
         return {
             "step": self.step,
-            "background_steps": self.background_steps,
             "learned": self.learned,
             "from_hull": self.from_hull,
             "validation_errors": list(self.validation_errors),
@@ -180,6 +175,5 @@ class Schedule:
 
     def load(self, state: dict) -> None:
         """Go on from `state`."""
-        self.step, self.background_steps = state["step"], state["background_steps"]
-        self.learned, self.from_hull = state["learned"], state["from_hull"]
+        self.step, self.learned, self.from_hull = state["step"], state["learned"], state["from_hull"]
         self.validation_errors = list(state["validation_errors"])

@@ -132,11 +132,8 @@ class FieldsLearning(StageOne):
         return torch.cat([clear, veiled, *others]), len(clear)
 
     def _refine_environment(self) -> None:
-        had_detail, done = len(self.environment.detail) > 0, (self.schedule.step, self.schedule.environment_fraction)
-        if environment_training.refine(self.environment, self.rays, self.background, *done):
+        if environment_training.refine(self.environment, self.rays, self.background, self.schedule.environment_fraction):
             self.optimizers.restart("environment")
-        if len(self.environment.detail) and not had_detail and self.schedule.learns_background:
-            self.schedule.begin_background_anew()
 
     @profiled("held-out error")
     @torch.no_grad()

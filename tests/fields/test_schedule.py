@@ -42,21 +42,6 @@ def test_steps_of_f_e_alone_come_first_and_learn_no_f_o():
     assert now.step == 210 == now.total_steps and now.environment_fraction == 1
 
 
-def test_steps_before_f_e_begins_anew_do_not_count():
-    schedule = Schedule(PRESET, 12)
-    for _ in range(5):
-        schedule.advance()
-    total = schedule.total_steps
-    schedule.begin_background_anew()
-    assert schedule.total_steps == total + 5
-    again = Schedule(PRESET, 12)
-    again.load(schedule.state())
-    for _ in range(12):
-        assert again.learns_background
-        again.advance()
-    assert not again.learns_background
-
-
 def test_the_sharpness_rises_geometrically_and_then_stays():
     p = PRESET
     half = (p.first_sharpness * p.last_sharpness) ** 0.5
