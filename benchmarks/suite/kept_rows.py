@@ -176,7 +176,7 @@ def rows_of(source: str, folder: Path = ROWS) -> list[dict]:
 
     Raises SourceError where there are none.
     """
-    if "+" in source and not Path(source).exists():
+    if "+" in source and not _is_there(source):
         return [row for part in source.split("+") for row in rows_of(part, folder)]
     path = folder if source == ALL else Path(source)
     if path.is_dir():
@@ -206,11 +206,16 @@ def _commit_of(name: str, folder: Path) -> str:
     return (found or name)[:7]
 
 
+def _is_there(source: str) -> bool:
+    """Whether a file or a folder has this name. Many commits, joined by `+`, are longer than a name of a file may be."""
+    return os.path.exists(source)
+
+
 def lasting(source: str, folder: Path = ROWS) -> str:
     """The words by which the same rows are found later, too: commits instead of `all`, of a branch or a suite's folder."""
     if source == ALL:
         return "+".join(sorted(file.stem for file in folder.glob("*.jsonl")))
-    if Path(source).exists():
+    if _is_there(source):
         commits = sorted({row["commit"] for row in rows_of(source, folder)})
         return "+".join(commits) if all((folder / f"{commit}.jsonl").is_file() for commit in commits) else source
     parts = [part if (folder / f"{part}.jsonl").is_file() else _commit_of(part, folder) for part in source.split("+")]

@@ -156,6 +156,15 @@ def test_sources_are_commits_files_and_folders(tmp_path):
             rows_of(source, rows)
 
 
+def test_many_commits_are_one_source(tmp_path):
+    """Their names together are longer than the name of a file may be."""
+    commits = [f"{k:07x}" for k in range(40)]
+    for k, commit in enumerate(commits):
+        keep(kept(row_of(Run(Path(f"object_{k}")), commit)), tmp_path)
+    many = "+".join(commits)
+    assert len(many) > 255 and len(rows_of(many, tmp_path)) == 40 and lasting(many, tmp_path) == many
+
+
 def test_a_branch_is_a_source(tmp_path):
     def git(*words):
         done = subprocess.run(["git", "-C", tmp_path, *words], capture_output=True, text=True, check=True)
