@@ -30,7 +30,7 @@ class FieldsLosses:
 
     preset: FieldsPreset
     environment: EnvironmentPreset
-    """It holds the weights of the foreground opacity and of the distortion."""
+    """It holds the weight of the foreground opacity."""
     highlight_threshold: float
     """Linear radiance above which an object pixel is a highlight"""
 
@@ -60,6 +60,7 @@ class FieldsLosses:
         photometric: Tensor,
         out: Rendering,
         curvature_weight: float,
+        distortion_weight: float,
         mask: Tensor | None,
         says: Tensor | None = None,
     ) -> Tensor:
@@ -70,7 +71,7 @@ class FieldsLosses:
         p = self.preset
         loss = photometric + p.eikonal * out.eikonal + curvature_weight * out.curvature
         loss = loss + self.environment.foreground_opacity * out.foreground_opacity
-        loss = loss + self.environment.distortion * out.distortion
+        loss = loss + distortion_weight * out.distortion
         if mask is not None and p.mask > 0:
             # 1e-4: the logarithm of an opacity of exactly 0 or 1 is not finite
             loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask, says)

@@ -100,7 +100,8 @@ class FieldsLearning(StageOne):
         out = self.render_rays(rays, self.generator, clear)
         photometric = self.losses.photometric(out, photo)
         mask = None if self.rays.mask is None else self.rays.mask[index].float() / 255
-        loss = self.losses.total(photometric, out, self.schedule.curvature_weight, mask, self._mask_says(index))
+        weights = self.schedule.curvature_weight, self.environment.distortion_cost
+        loss = self.losses.total(photometric, out, *weights, mask, self._mask_says(index))
         optimizers = self.optimizers.all
         for optimizer in optimizers:
             optimizer.zero_grad()
@@ -132,7 +133,8 @@ class FieldsLearning(StageOne):
         return torch.cat([clear, veiled, *others]), len(clear)
 
     def _refine_environment(self) -> None:
-        if environment_training.refine(self.environment, self.rays, self.background, self.schedule.environment_fraction):
+        done = self.schedule.step, self.schedule.environment_fraction
+        if environment_training.refine(self.environment, self.rays, self.background, *done):
             self.optimizers.restart("environment")
 
     @profiled("held-out error")

@@ -186,12 +186,13 @@ def test_far_walls_get_a_color_detail_and_near_walls_do_not(size, far):
         rays=lambda index: RayBundle(-2 * directions.flip(0)[index], directions[index], torch.zeros(len(index)))
     )
     before = field.raw.detach().clone()
-    assert not refine(field, rays, torch.arange(500), 0.5 * PRESET.detail_at) and not field.detail_decided
-    assert refine(field, rays, torch.arange(500), PRESET.detail_at) == far
-    assert field.detail_decided and not refine(field, rays, torch.arange(500), 0.4)
+    assert not refine(field, rays, torch.arange(500), PRESET.detail_step - 1, 0.03) and not field.detail_decided
+    assert refine(field, rays, torch.arange(500), PRESET.detail_step, 0.03) == far
+    assert field.detail_decided and not refine(field, rays, torch.arange(500), 100, 0.4)
     assert (float(field.far_share) > 0.9) if far else (float(field.far_share) < 0.1)
     assert len(field.detail) == (PRESET.detail_rows if far else 0)
     assert ("color detail of the environment field" in skipped_detail(field)) != far
+    assert field.distortion_cost == (0 if far else PRESET.distortion), "far colors are not pulled nearer"
     assert torch.equal(field.raw, before) != far  # with a color detail, F_e begins anew
     restored = EnvironmentField(PRESET)
     restored.load_state_dict(field.state_dict())

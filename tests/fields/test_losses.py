@@ -66,18 +66,16 @@ def test_each_prior_counts_by_its_weight():
     out, photometric = rendering(torch.zeros(2, 3), [0.2, 0.9]), torch.tensor(0.1)
     mask = torch.tensor([0.0, 1.0])
 
-    def total(preset=PRESET, curvature=5e-4, mask=None, **changed) -> float:
+    def total(preset=PRESET, curvature=5e-4, distortion=0.03, mask=None, **changed) -> float:
         losses = FieldsLosses(preset, replace(ENVIRONMENT, **changed), 2.0)
-        return float(losses.total(photometric, out, curvature, mask))
+        return float(losses.total(photometric, out, curvature, distortion, mask))
 
     plain = total()
-    assert plain == pytest.approx(
-        0.1 + 2 * PRESET.eikonal + 3 * 5e-4 + 0.5 * ENVIRONMENT.foreground_opacity + 0.25 * ENVIRONMENT.distortion
-    )
+    assert plain == pytest.approx(0.1 + 2 * PRESET.eikonal + 3 * 5e-4 + 0.5 * ENVIRONMENT.foreground_opacity + 0.25 * 0.03)
     assert plain - total(replace(PRESET, eikonal=0.0)) == pytest.approx(2 * PRESET.eikonal, rel=1e-4)
     assert plain - total(curvature=0.0) == pytest.approx(3 * 5e-4, rel=1e-3)
     assert plain - total(foreground_opacity=0.0) == pytest.approx(0.5 * ENVIRONMENT.foreground_opacity, rel=1e-4)
-    assert plain - total(distortion=0.0) == pytest.approx(0.25 * ENVIRONMENT.distortion, rel=1e-4)
+    assert plain - total(distortion=0.0) == pytest.approx(0.25 * 0.03, rel=1e-4)
     entropy = -(math.log(0.8) + math.log(0.9)) / 2
     assert total(mask=mask) - plain == pytest.approx(PRESET.mask * entropy, rel=1e-4)
     assert total(replace(PRESET, mask=0.0), mask=mask) == plain

@@ -86,6 +86,14 @@ class EnvironmentField(nn.Module):
         return [(2 if self.infinite else shells, rows) for shells, rows in self.preset.resolutions]
 
     @property
+    def distortion_cost(self) -> float:
+        """The cost of the distortion. It is 0 with a color detail.
+
+        With both, the object of a scene at night lost its shape (docs/lab/environment-field.md).
+        """
+        return 0.0 if len(self.detail) else self.preset.distortion
+
+    @property
     def detail_decided(self) -> bool:
         """Whether `decide_detail` was called."""
         return bool(self.far_share >= 0)

@@ -60,14 +60,16 @@ def optimizer(environment: EnvironmentField) -> Optimizer:
     return Adam(environment.parameter_groups())
 
 
-def refine(environment: EnvironmentField, rays: PixelRays, background: PixelSet | torch.Tensor, fraction: float) -> bool:
-    """Bring F_e to what is due at this fraction of the learning, 0..1: a finer grid, or the decision on its color detail.
+def refine(
+    environment: EnvironmentField, rays: PixelRays, background: PixelSet | torch.Tensor, step: int, fraction: float
+) -> bool:
+    """Bring F_e to what is due after `step` steps: a finer grid, or the decision on its color detail.
 
-    `background` are the pixels (indices) whose rays decide. True if F_e has new parameters, so that its optimizer must be
-    made again.
+    These steps are the `fraction` of its learning, 0..1. `background` are the pixels (indices) whose rays decide. True if
+    F_e has new parameters, so that its optimizer must be made again.
     """
     preset, changed = environment.preset, environment.refine(fraction)
-    if environment.known and fraction >= preset.detail_at and not environment.detail_decided:
+    if environment.known and step >= preset.detail_step and not environment.detail_decided:
         pick = torch.arange(0, len(background), max(1, len(background) // preset.detail_rays), device=background.device)
         origins, directions, _ = rays.rays(background[pick]).in_room()
         changed = environment.decide_detail(origins, directions) or changed
@@ -126,7 +128,9 @@ def learn_step(
     adam.zero_grad()
     p = environment.preset
     with section("backward"):
-        (photometric + p.foreground_opacity * (1 - clear).mean() + p.distortion * distortion.sum() / n).backward()
+        (
+            photometric + p.foreground_opacity * (1 - clear).mean() + environment.distortion_cost * distortion.sum() / n
+        ).backward()
     environment.regularize(generator)
     if not usable_gradients([adam]):
         return math.nan
@@ -179,7 +183,7 @@ def learn_environment(
         generator.set_state(state["generator"])
         monitor.load(state["monitor"])
     while step < preset.steps:
-        if refine(environment, rays, background, step / preset.steps):
+        if refine(environment, rays, background, step, step / preset.steps):
             adam = optimizer(environment)
         set_learning_rate(adam, preset, step / preset.steps)
         pick = random_places(preset.rays_per_step, len(background), generator)
