@@ -17,10 +17,10 @@ def check_viewpoints():
     import bpy
 
     from backend.synthetic_capture.scene_building import build_fixed_scene
-    from backend.synthetic_capture.turntable import turn_to
+    from backend.synthetic_capture.turntable import Turntable, turn_to
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    built = build_fixed_scene("box", None, 3, (9, 2), False, frozenset(), rows=2)
+    built = build_fixed_scene("box", None, 3, (9, 2), False, frozenset(), Turntable(2))
     assert [view.row for view in built.train] == [0] * 5 + [1] * 4
     assert {item.name for item in built.turning} == {"object", "plate"}
     rows = [[view for view in built.train if view.row == row] for row in (0, 1)]
@@ -33,6 +33,26 @@ def check_viewpoints():
     bpy.context.view_layer.update()
     assert np.allclose(built.target.matrix_world, built.train[2].turn, atol=1e-6)
     assert all(view.row is None and np.allclose(view.turn, np.eye(4)) for view in built.test)
+
+
+def test_a_print_lies_on_the_plate_alone_and_turns_with_it():
+    in_blender(check_print)
+
+
+def check_print():
+    import bpy
+
+    from backend.synthetic_capture.scene_building import build_fixed_scene
+    from backend.synthetic_capture.turntable import Turntable
+
+    prints = {}
+    for printed in (False, True):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        built = build_fixed_scene("box", None, 3, (9, 2), False, frozenset(), Turntable(2, printed=printed))
+        plates = [item for item in built.turning if item is not built.target]
+        prints[printed] = [item.name for item in bpy.data.objects if any("print" in m.name for m in item.data.materials)]
+        assert [item.name for item in plates] == ["plate"]
+    assert prints == {False: [], True: ["plate"]}
 
 
 @pytest.mark.slow
