@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.row_files import read_row
 from benchmarks.scoring.materials import read_channels
 from blender_nep.tone_mapping import tone_map
 
@@ -19,10 +20,15 @@ ROWS = 32
 def score(folder: Path, asset: Path) -> dict[str, float | list[float]]:
     """How the asset's light agrees with that of the capture; {} if the capture does not tell it.
 
+    Both are in the room as the object stood in the first photo. So nothing is said if the job did not learn from that photo.
+
     light_psnr: dB in tone-mapped space, over all directions. light_correlation: of the tone-mapped brightness.
     light_ratio: for each channel, the mean true radiance divided by the mean radiance that was found.
     """
     if not (folder / TRUTH).is_file():
+        return {}
+    first = [read_row(file)["frames"][0]["file_path"] for file in (folder / "transforms.json", asset / "cameras.json")]
+    if Path(first[0]).name != Path(first[1]).name:
         return {}
     return compare(read_map(folder / TRUTH), read_map(asset / "environment.exr"))
 

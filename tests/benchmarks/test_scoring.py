@@ -302,5 +302,15 @@ def test_a_map_of_the_light_is_compared_by_solid_angle():
         light_map.coarse(np.zeros((60, 120, 3)))
 
 
-def test_the_light_of_a_capture_without_a_true_one_is_not_scored(tmp_path):
-    assert light_map.score(tmp_path, tmp_path / "asset") == {}
+def test_light_is_scored_only_in_the_room_of_the_first_photo(tmp_path):
+    asset = tmp_path / "asset"
+    asset.mkdir()
+    assert light_map.score(tmp_path, asset) == {}, "the capture has no true light"
+    light = np.full((32, 64, 3), 0.5, np.float32)
+    write_exr(tmp_path / "light.exr", light)
+    write_exr(asset / "environment.exr", light)
+    write_row(tmp_path / "transforms.json", {"frames": [{"file_path": "images/000.exr"}, {"file_path": "images/001.exr"}]})
+    write_row(asset / "cameras.json", {"frames": [{"file_path": "../images/000.exr"}]})
+    assert light_map.score(tmp_path, asset)["light_psnr"] > 100
+    write_row(asset / "cameras.json", {"frames": [{"file_path": "../images/001.exr"}]})
+    assert light_map.score(tmp_path, asset) == {}, "the object stood otherwise"
