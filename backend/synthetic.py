@@ -27,6 +27,7 @@ radiance, without rendering again.
 `--turntable ROWS` turns the object on a plate, while the camera stands still, at one height for each row of photos. The
 cameras are written in the frame of the object, as it stands in the first photo. turns.json has the true turns. In the test
 views the object stands as in the first photo. `--walk` takes the same photos by walking around the object: the control.
+`--printed` puts a print on the plate, so that cameras can be found from the photos alone. With `--snapshots` it has one.
 
 The same arguments give the same capture in the same version of Blender, except for the last digits of the photos, because
 Cycles adds in no fixed order. Blender 5 draws other Voronoi cells for the pattern `patches` than Blender 4.
@@ -74,7 +75,16 @@ from backend.synthetic_capture.photograph.session import PHOTOGRAPHS, Camera, Se
 from backend.synthetic_capture.random_scene import Photography, SceneDescription, draw_scene
 from backend.synthetic_capture.scene_building import BuiltScene, build_fixed_scene, build_random_scene
 from backend.synthetic_capture.snapshots import Phone
-from backend.synthetic_capture.turntable import ELEVATIONS, TURNS, turn_to, write_turns
+from backend.synthetic_capture.turntable import (
+    ELEVATIONS,
+    LIGHT,
+    LIGHT_ROWS,
+    LIGHT_SAMPLES,
+    TURNS,
+    Turntable,
+    turn_to,
+    write_turns,
+)
 from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Viewpoint
 
 MARK = "gt_mesh.ply"
@@ -88,8 +98,8 @@ METER_SIZE, METER_SAMPLES, METER_VIEWS = 48, 8, 8
 SCENE_OPTIONS = ("views", "test_views", "size", "samples", "threads", "fast")
 UNUSED = {
     None: ("meshes",),
-    "random": ("fast", "seed", "snapshots", "material", "turntable", "walk"),
-    "develop": ("meshes", "snapshots", "material", "turntable", "walk", *SCENE_OPTIONS),
+    "random": ("fast", "seed", "snapshots", "material", "turntable", "walk", "printed"),
+    "develop": ("meshes", "snapshots", "material", "turntable", "walk", "printed", *SCENE_OPTIONS),
 }
 """What is rendered, where it is no --scene -> options without effect"""
 LARGEST_SEED = 2**31 - 1
@@ -133,6 +143,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         help=f"the object turns, for 1 to {len(ELEVATIONS)} heights of a still camera; not with --random",
     )
     parser.add_argument("--walk", action="store_true", help="with --turntable: walk around the object instead")
+    parser.add_argument("--printed", action="store_true", help="with --turntable: a print on the plate")
     parser.add_argument(
         "--material", choices=sorted(scenes.MATERIALS), help="default: gold; the box: patches; not with --random"
     )
@@ -151,8 +162,9 @@ def parse(arguments: list[str]) -> argparse.Namespace:
             f"--develop does not render {', '.join(rendered) or 'anything'}: give --photograph with some of "
             f"{', '.join(DEVELOPMENT)}"
         )
-    if options.walk and not options.turntable:
-        parser.error("--walk has no effect without --turntable")
+    for name in ("walk", "printed"):
+        if getattr(options, name) and not options.turntable:
+            parser.error(f"--{name} has no effect without --turntable")
     moving = sorted(options.photograph & {FRAMING, TWO_DAYS})
     if options.turntable and moving:
         parser.error(f"--turntable keeps the camera still, and --photograph {' '.join(moving)} does not")
@@ -191,8 +203,8 @@ def main(arguments: list[str]) -> int:
         elif options.random is None:
             views = (62 if options.views is None else options.views, options.test_views)
             drawn = (options.scene, options.material, options.seed)
-            turntable = (options.turntable, options.walk)
-            built = build_fixed_scene(*drawn, views, options.snapshots, options.photograph, *turntable)
+            turntable = Turntable(options.turntable, options.walk, options.printed)
+            built = build_fixed_scene(*drawn, views, options.snapshots, options.photograph, turntable)
             photographing = Photographing(session=session_of(options, FIELD_OF_VIEW, built.stage, len(built.train)))
             if options.snapshots:
                 photographing = Photographing(phone=Phone(options.size, FIELD_OF_VIEW))
@@ -338,7 +350,7 @@ def write_capture(options: argparse.Namespace, built: BuiltScene, photographing:
     for name in PARTS:
         (out / name).mkdir(parents=True, exist_ok=True)
     write_ply(out / MARK, *scenes.triangles(built.target))
-    for name in ("transforms.json", PHOTOGRAPHS, TURNS):
+    for name in ("transforms.json", PHOTOGRAPHS, TURNS, LIGHT):
         (out / name).unlink(missing_ok=True)
     phone = photographing.phone
     for old in _phone_photos(out) if phone else ():
@@ -387,7 +399,15 @@ def write_capture(options: argparse.Namespace, built: BuiltScene, photographing:
     if train[0].row is not None:
         own = own | {"turntable": True}
         write_turns(out, train)
+    if built.turning:
+        write_light(out / LIGHT, renderer, built.turning)
     write_transforms(out, renderer, color_space, frames, own)
+
+
+def write_light(path: Path, renderer: ViewRenderer, turning: Sequence[bpy.types.Object]) -> None:
+    """Write the light that comes to the middle of the object, as the room is without what turns. Raises OSError."""
+    light = renderer.render_light(turning, LIGHT_ROWS, LIGHT_SAMPLES)
+    write_channels(path, {channel: light[..., k] for k, channel in enumerate("RGB")})
 
 
 def write_transforms(

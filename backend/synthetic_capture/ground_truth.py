@@ -1,7 +1,9 @@
 """Renders a view of a synthetic scene in Cycles: the photo and its ground truth, both from the same samples."""
 
+import math
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -63,6 +65,38 @@ class ViewRenderer:
         roughness.V, metallic.V, Normal.XYZ, Depth.V and mask.V. Depth is the distance along the camera's axis, at most
         FARTHEST, which also stands where no surface is seen. The normal is in world space. The alpha of albedo is the mask.
         """
+        passes = self._passes(matrix)
+        layer = self.layer.name
+        photo = np.stack([passes[f"{layer}.Combined.{c}"] for c in "RGB"], axis=-1)
+        mask = np.clip(_value(passes, f"{layer}.mask"), 0, 1)
+        truth = {f"albedo.{c}": passes[f"{layer}.albedo.{c}"] for c in "RGB"}
+        truth |= {"albedo.A": mask, "mask.V": mask, "Depth.V": np.minimum(_value(passes, f"{layer}.Depth"), FARTHEST)}
+        truth |= {f"{name}.V": _value(passes, f"{layer}.{name}") for name in ("roughness", "metallic")}
+        truth |= {f"Normal.{c}": passes[f"{layer}.Normal.{c}"] for c in "XYZ"}
+        return np.maximum(photo, 0), truth
+
+    def render_light(self, hidden: Sequence[bpy.types.Object], rows: int, samples: int) -> np.ndarray:
+        """The light that comes to the world's origin without the `hidden` things: radiance [rows, 2 rows, 3].
+
+        The map is as Blender reads one for a World. The camera, the settings and the things are then as they were.
+        """
+        data, render, cycles = self.camera.data, self.scene.render, self.scene.cycles
+        before = data.type, render.resolution_x, render.resolution_y, cycles.samples
+        panorama = data if hasattr(data, "panorama_type") else data.cycles  # Blender 5 and before
+        data.type, panorama.panorama_type = "PANO", "EQUIRECTANGULAR"
+        render.resolution_x, render.resolution_y, cycles.samples = 2 * rows, rows, samples
+        shown = [item for item in hidden if not item.hide_render]
+        for item in shown:
+            item.hide_render = True
+        along_x = Matrix.Rotation(-math.pi / 2, 4, "Z") @ Matrix.Rotation(math.pi / 2, 4, "X")
+        passes = self._passes(along_x)
+        for item in shown:
+            item.hide_render = False
+        data.type, render.resolution_x, render.resolution_y, cycles.samples = before
+        return np.maximum(np.stack([passes[f"{self.layer.name}.Combined.{c}"] for c in "RGB"], axis=-1), 0)
+
+    def _passes(self, matrix: Matrix) -> dict[str, np.ndarray]:
+        """Render what the camera at `matrix` sees: all channels of all passes."""
         self.camera.matrix_world = matrix
         settings = self.scene.render.image_settings
         set_media_type(settings, multilayer=True)
@@ -73,15 +107,7 @@ class ViewRenderer:
             path = Path(folder) / "view.exr"
             self.scene.render.filepath = os.fspath(path)
             bpy.ops.render.render(write_still=True, scene=self.scene.name)
-            passes = read_channels(path)
-        layer = self.layer.name
-        photo = np.stack([passes[f"{layer}.Combined.{c}"] for c in "RGB"], axis=-1)
-        mask = np.clip(_value(passes, f"{layer}.mask"), 0, 1)
-        truth = {f"albedo.{c}": passes[f"{layer}.albedo.{c}"] for c in "RGB"}
-        truth |= {"albedo.A": mask, "mask.V": mask, "Depth.V": np.minimum(_value(passes, f"{layer}.Depth"), FARTHEST)}
-        truth |= {f"{name}.V": _value(passes, f"{layer}.{name}") for name in ("roughness", "metallic")}
-        truth |= {f"Normal.{c}": passes[f"{layer}.Normal.{c}"] for c in "XYZ"}
-        return np.maximum(photo, 0), truth
+            return read_channels(path)
 
 
 def _value(passes: dict[str, np.ndarray], name: str) -> np.ndarray:

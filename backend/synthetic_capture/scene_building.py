@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -15,7 +15,7 @@ from .photograph.object_changes import change_object
 from .random_objects import build_object
 from .random_scene import TWO_RINGS, SceneDescription, details
 from .random_surroundings import build_surroundings
-from .turntable import build_plate, still_viewpoints, walked
+from .turntable import Turntable, build_plate, still_viewpoints, walked
 from .viewpoints import Layout, Surroundings, Viewpoint, choose_viewpoints
 
 MARGIN = 1.03
@@ -42,15 +42,13 @@ def build_fixed_scene(
     views: tuple[int, int],
     patterned: bool,
     effects: frozenset[str],
-    rows: int = 0,
-    walk: bool = False,
+    turntable: Turntable | None = None,
 ) -> BuiltScene:
     """Build the scene in the current file, which must be empty.
 
     `source`, `material` and `patterned` as in `scenes.build_scene`; `material` None: the object's usual one. `views`: the
-    number of photos to learn from, and of test views. `rows`: the object turns on a turntable, and the photos to learn from
-    are taken in so many rows; 0: no turntable. `walk`: the photos of the turntable are taken by walking around it instead.
-    Raises ValueError where the scene cannot be built.
+    number of photos to learn from, and of test views. `turntable`: how the object turns; None: it stands still. Raises
+    ValueError where the scene cannot be built.
     """
     rng = np.random.default_rng(seed)
     material = material or scenes.DEFAULT_MATERIAL.get(source, "gold")
@@ -64,8 +62,9 @@ def build_fixed_scene(
         stage, surroundings = built.stage, Surroundings(built.obstacles, built.support)
         layout = Layout(living_room.ELEVATIONS, heights=(-math.inf, math.inf))
     surroundings = surroundings or Surroundings(obstacles)
-    if rows:
-        return _on_turntable(target, stage, surroundings, layout, rng, views, rows, walk, patterned)
+    if turntable and turntable.rows:
+        turntable = replace(turntable, printed=turntable.printed or patterned)
+        return _on_turntable(target, stage, surroundings, layout, rng, views, turntable)
     train = choose_viewpoints(views[0], surroundings, rng, layout)
     test = choose_viewpoints(views[1], surroundings, rng, layout)
     return BuiltScene(target, arranged(train, effects, seed), test, stage)
@@ -78,15 +77,13 @@ def _on_turntable(
     layout: Layout | None,
     rng: np.random.Generator,
     views: tuple[int, int],
-    rows: int,
-    walk: bool,
-    patterned: bool,
+    turntable: Turntable,
 ) -> BuiltScene:
     """The scene with a plate below the object. For the test views, the object stands as in the first photo."""
-    axis, plate = build_plate(target, rng, patterned)
-    train = still_viewpoints(views[0], rows, axis, surroundings, rng)
+    axis, plate = build_plate(target, rng, turntable.printed)
+    train = still_viewpoints(views[0], turntable.rows, axis, surroundings, rng)
     test = choose_viewpoints(views[1], surroundings, rng, layout)
-    return BuiltScene(target, walked(train) if walk else train, test, stage, (target, *plate))
+    return BuiltScene(target, walked(train) if turntable.walk else train, test, stage, (target, *plate))
 
 
 def build_random_scene(scene: SceneDescription, test_views: int, effects: frozenset[str] = frozenset()) -> BuiltScene:

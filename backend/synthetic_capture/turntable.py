@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import bmesh
@@ -16,11 +17,25 @@ from .viewpoints import DISTANCES, TRIES, Surroundings, Viewpoint
 
 TURNS = "turns.json"
 """The true turns, beside transforms.json"""
+LIGHT, LIGHT_ROWS, LIGHT_SAMPLES = "light.exr", 128, 64
+"""The true light around the object, beside transforms.json, its rows, and its samples a pixel"""
 ELEVATIONS = (14.0, 36.0, 56.0, -8.0)
 """degrees: the height of each row's camera, seen from the object"""
 ECCENTRICITY = 0.12
 """Distance of the turning axis from the object's center, in object radii. Nobody puts the object exactly in the middle."""
 PLATE_RADIUS, PLATE_THICKNESS, FOOT_RADIUS = 0.8, 0.06, 0.25
+
+
+@dataclass(frozen=True)
+class Turntable:
+    """How photos of a turntable are taken."""
+
+    rows: int = 0
+    """The photos to learn from are taken in so many rows, each from one height; 0: there is no turntable."""
+    walk: bool = False
+    """The same photos are taken by walking around the object instead."""
+    printed: bool = False
+    """The plate has a print, although the rest of the room has none."""
 
 
 def build_plate(

@@ -15,7 +15,7 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks.reports import photograph_tables, random_tables, tables
+from benchmarks.reports import photograph_tables, random_tables, tables, turntable_tables
 from benchmarks.reports.rows import Results
 from benchmarks.suite.kept_rows import ROWS, chosen, lasting
 from blender_nep.files import write_text
@@ -73,6 +73,7 @@ TABLES: dict[str, Callable[[list[dict]], str]] = {
         for marker in random_tables.SETS
     },
     "history of random scenes": random_tables.history,
+    "turntables": _of_results(turntable_tables.turntable_table),
     "photographs": photograph_tables.photograph_table,
 }
 """Marker -> the function that makes its Markdown text of kept rows."""

@@ -8,7 +8,7 @@ from benchmarks.reports import paper
 from benchmarks.reports.rows import Figure, Results, failures
 from benchmarks.suite.harness import markdown
 from benchmarks.suite.plan import ABLATIONS
-from benchmarks.suite.render import RANDOM, SETS
+from benchmarks.suite.render import RANDOM, SETS, TURNED, WALKED
 from blender_nep.presets import PRESETS
 
 SCORES = {
@@ -20,6 +20,8 @@ SCORES = {
     "hollow_normal_deg": ("shading normals in hollows, °", 1),
     "mask_iou": ("IoU", 3),
     "background_psnr": ("F_e, dB", 1),
+    "light_psnr": ("light's map, dB", 1),
+    "light_correlation": ("light's map, correlation", 2),
     "mse_roughness": ("roughness", 5),
     "mse_metallic": ("metallic", 4),
     "mse_albedo": ("albedo", 5),
@@ -30,7 +32,10 @@ SCORES = {
 }
 """Score -> (heading of its column, digits after the point)."""
 HIGHER_IS_BETTER = frozenset(
-    ("fscore_005", "mask_iou", "background_psnr", "psnr_mean", "ssim_mean", "psnr_rescaled", "ssim_rescaled")
+    (
+        *("fscore_005", "mask_iou", "background_psnr", "light_psnr", "light_correlation"),
+        *("psnr_mean", "ssim_mean", "psnr_rescaled", "ssim_rescaled"),
+    )
 )
 """Of SCORES, those of which a larger one is better. Of all others, a smaller one is."""
 COSTS = {"seconds": ("seconds", 0), "cpu_seconds": ("CPU s", 0), "peak_mb": ("MB", 0)}
@@ -94,8 +99,8 @@ def scored_captures(results: Results) -> list[str]:
 
 
 def is_special(capture: str) -> bool:
-    """Whether a capture belongs to the plan `roughness` or `random`, which have tables of their own."""
-    return capture.startswith(RANDOM) or capture in SETS["roughness"]
+    """Whether a capture is a random scene, one of `roughness`, or one of a turntable. These have tables of their own."""
+    return capture.startswith(RANDOM) or capture in SETS["roughness"] or capture.endswith((TURNED, WALKED))
 
 
 def main_captures(results: Results) -> list[str]:

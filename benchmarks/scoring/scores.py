@@ -9,7 +9,7 @@ import torch
 
 from benchmarks.row_files import read_row
 from benchmarks.scoring import environment as fields
-from benchmarks.scoring import geometry, materials, shading_normals
+from benchmarks.scoring import geometry, light_map, materials, shading_normals
 from benchmarks.scoring.asset_mesh import read_asset_mesh
 from blender_nep.asset.export import NORMAL_MAP
 from blender_nep.capture import PixelRays, load_capture
@@ -25,7 +25,7 @@ BACKGROUND_PIXELS = 40_000
 
 
 def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture: Path) -> dict:
-    """The scores of geometry, materials and F_e; {} for a capture without ground truth.
+    """The scores of geometry, materials, light and F_e; {} for a capture without ground truth.
 
     F_e is scored only where the asset still has the checkpoint of stage 1. It is not scored for a turntable, because test
     views do not tell how the object stood in the room.
@@ -41,6 +41,7 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
     normal_map = next(iter(materials.read_channels(map_file).values())) if map_file.is_file() else None
     out |= shading_normals.score(surface, folder, capture, test, normal_map)
     out |= materials.score(surface, learned, folder, capture, test, picture)
+    out |= light_map.score(folder, asset)
     kept = asset / "checkpoints" / f"{StageName.FIELDS_LEARNING}.done.pt"
     if kept.is_file() and not read_row(asset / "report.json")["scene"]["photos"].get("turntable", False):
         out["background_psnr"] = _background_psnr(folder, asset, kept, capture, test, preset, choose_device(device))

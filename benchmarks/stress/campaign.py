@@ -72,6 +72,7 @@ TROUBLES = {
     "distance": [100.0, 30.0, 1.05, 0.5],
     "zoom": [False],
     "duplicates": ["some", "pairs", "all"],
+    "turntable": ["told", "untold", "walk"],
     "roll": [1.5707963, 3.1, 0.4],
     "shift": [0.3, 0.8],
     "mesh": ["true", "soup", "inside_out"],

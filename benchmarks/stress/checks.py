@@ -14,6 +14,7 @@ import OpenEXR
 import torch
 import trimesh
 
+from benchmarks.stress.scenes import Case, turns
 from blender_nep.asset.export import TEXTURES
 from blender_nep.checkpoints import load_state
 from blender_nep.job.stage_names import StageName
@@ -29,6 +30,8 @@ FILES = (
 )
 ROUNDING = 1e-9
 """Signed volume, in cubic radii, that rounding may give a flat mesh."""
+MOST_TURNED = 1e-3
+"""Largest error of an entry of a rotation matrix of a turntable"""
 REPAIRS = {
     "nan": "capture.pixels_not_finite",
     "inf": "capture.pixels_not_finite",
@@ -69,7 +72,7 @@ def check_refusal(code: int, events: list[dict], human: str, out: Path) -> list[
     return failures
 
 
-def check_asset(case, out: Path) -> list[str]:
+def check_asset(case: Case, out: Path) -> list[str]:
     """The failures of an asset.
 
     The asset must be complete, its values finite and in range, its mesh inside the bounds. Its report must name all repairs.
@@ -95,7 +98,27 @@ def check_asset(case, out: Path) -> list[str]:
         bad = [name for name, value in _tensors(load_state(file)) if not np.isfinite(value).all()]
         if bad:
             failures.append(f"not finite on disk: {file.name} {bad[:3]}")
-    return failures + check_report(case, report)
+    return failures + check_report(case, report) + check_turntable(case, out, report)
+
+
+def check_turntable(case: Case, out: Path, report: dict) -> list[str]:
+    """The failures of what the asset says about a turntable: cameras.json must tell how the object was turned.
+
+    A walk that is said to be a turntable has no photos that fit. So it must not end with an asset.
+    """
+    if case.turntable == "walk":
+        return ["false turntable: a walk was taken for one"]
+    frames = json.loads((out / "cameras.json").read_text())["frames"]
+    moved = ["object_to_room" in frame for frame in frames]
+    used = bool(report["scene"]["photos"].get("turntable"))
+    if used != all(moved) or used != any(moved) or (case.turntable == "told" and not used):
+        return [f"turntable forgotten: {used} in the report, {sum(moved)} of {len(frames)} motions"]
+    if not used:
+        return []
+    true = turns(case)[[int(Path(frame["file_path"]).stem) for frame in frames]]
+    found = np.array([frame["object_to_room"] for frame in frames])[:, :3, :3]
+    wrong = float(np.abs(found - true[0].T @ true).max())
+    return [f"wrong turns: by {wrong:.4f}"] if wrong > MOST_TURNED else []
 
 
 def check_mesh(out: Path, center: np.ndarray, radius: float, report: dict) -> list[str]:
@@ -158,7 +181,7 @@ def check_outward(vertices: np.ndarray, faces: np.ndarray) -> list[str]:
     return [f"bad mesh: inside out, its volume is {volume:.3g}"] if volume < -ROUNDING else []
 
 
-def check_report(case, report: dict) -> list[str]:
+def check_report(case: Case, report: dict) -> list[str]:
     """The failures of the report: its warnings must name everything that was repaired."""
     failures, said = [], [warning["code"] for warning in report["warnings"]]
     wanted = REPAIRS.get(case.pixels) if case.suffix == ".exr" else {"one_black": "capture.photos_black"}.get(case.pixels)

@@ -52,6 +52,9 @@ class Case:
     """Whether the lens follows the distance (see FOCAL)"""
     duplicates: str = "none"
     """Cameras at the same place: none, some (the second photo three times), pairs (each twice), all (one place for all)"""
+    turntable: str = "none"
+    """none; told: the object turns before a still camera, at two heights, and transforms.json says so; untold: it does not;
+    walk: transforms.json says so of a walk around the object"""
     roll: float = 0.0
     """Turn of the cameras about their optical axis, in radians. Every other camera is turned the other way."""
     shift: float = 0.0
@@ -193,7 +196,10 @@ def light_from(kind: str, directions: np.ndarray, blur: float) -> np.ndarray:
 
 
 def shade(case: Case, normal: np.ndarray, to_eye: np.ndarray) -> np.ndarray:
-    """The radiance [n, 3] of the surface: a reflection, blurred by the roughness, plus a diffuse part."""
+    """The radiance [n, 3] of the surface: a reflection, blurred by the roughness, plus a diffuse part.
+
+    `normal` [n, 3] and `to_eye` [n, 3] are in the room's frame.
+    """
     cosine = np.clip((normal * to_eye).sum(-1, keepdims=True), 0, 1)
     base = case.albedo * np.array([1.0, 0.75, 0.45])
     f0 = case.metallic * base + (1 - case.metallic) * 0.04
@@ -202,11 +208,24 @@ def shade(case: Case, normal: np.ndarray, to_eye: np.ndarray) -> np.ndarray:
     return fresnel * mirror + (1 - case.metallic) * base * light_from(case.light, normal, 1.5)
 
 
+def turns(case: Case) -> np.ndarray:
+    """The rotations [views, 3, 3] of the object in the room, about the upright axis; the identity where it stands still."""
+    matrices = np.tile(np.eye(3), (case.views, 1, 1))
+    if case.turntable in ("told", "untold"):
+        angle = (
+            2 * np.pi * np.arange(case.views) / max(1, case.views // 2)
+        )  # the second row begins where the first one began
+        matrices[:, :2, :2] = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)
+    return matrices[_taken(case)]
+
+
 def poses(case: Case) -> list[np.ndarray]:
     """The camera-to-world matrices [4, 4] of all views, in the frame of the object's sphere."""
     matrices = []
     for i in range(case.views):
         turn, rise = 2.39996 * i, math.asin(0.85 * math.sin(1.7 * i))
+        if case.turntable in ("told", "untold"):
+            turn, rise = -2 * math.pi * i / max(1, case.views // 2), 0.2 if i < case.views // 2 else 0.7
         position = case.distance * np.array(
             [math.cos(turn) * math.cos(rise), math.sin(turn) * math.cos(rise), math.sin(rise)]
         )
@@ -219,13 +238,17 @@ def poses(case: Case) -> list[np.ndarray]:
         matrix = np.eye(4)
         matrix[:3] = np.stack([right, up, back, position], 1)
         matrices.append(matrix)
+    return [matrices[i] for i in _taken(case)]
+
+
+def _taken(case: Case) -> list[int]:
+    """For each view, the number of the view whose camera it has."""
+    views = range(case.views)
     if case.duplicates == "some":
-        matrices[2:4] = [matrices[1]] * len(matrices[2:4])
-    elif case.duplicates == "pairs":
-        matrices = [matrices[i - i % 2] for i in range(len(matrices))]
-    elif case.duplicates == "all":
-        matrices = [matrices[0]] * len(matrices)
-    return matrices
+        return [1 if i in (2, 3) else i for i in views]
+    if case.duplicates == "pairs":
+        return [i - i % 2 for i in views]
+    return [0 if case.duplicates == "all" else i for i in views]
 
 
 def spoil(case: Case, photo: np.ndarray, view: int) -> np.ndarray:
@@ -274,13 +297,15 @@ def write_capture(case: Case, folder: Path) -> None:
         meta |= {"object_center": bounds[0].tolist(), "object_radius": bounds[1] * case.scale}
     y, x = np.mgrid[:n, :n] + 0.5
     local = np.stack([(x - cx) / focal, -(y - cy) / focal, -np.ones_like(x)], -1).reshape(-1, 3)
-    for i, matrix in enumerate(poses(case)):
+    if case.turntable in ("told", "walk"):
+        meta["turntable"] = True
+    for i, (matrix, turn) in enumerate(zip(poses(case), turns(case), strict=True)):
         directions = local @ matrix[:3, :3].T
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         t, normal = trace(case.shape, np.broadcast_to(matrix[:3, 3], directions.shape), directions)
         covered = np.isfinite(t)
-        photo = light_from(case.light, directions, 0.0)
-        photo[covered] = shade(case, normal[covered], -directions[covered])
+        photo = light_from(case.light, directions @ turn.T, 0.0)
+        photo[covered] = shade(case, normal[covered] @ turn.T, -directions[covered] @ turn.T)
         photo, coverage = spoil(case, photo.reshape(n, n, 3), i), covered.reshape(n, n).astype(np.float64)
         frame = {"file_path": f"images/{i:03d}{case.suffix}"}
         world = matrix.copy()

@@ -13,6 +13,9 @@ from blender_nep.presets import EVIDENCE, PRESETS, REFINEMENTS, Preset
 
 WITHOUT_F_E = "no F_e in stage 2"
 AS_TAKEN = "exposures as taken"
+TURNTABLE_OFF = "turntable off"
+OF_SOME_CAPTURES = (AS_TAKEN, TURNTABLE_OFF)
+"""Ablations that change something on some captures only, so that they are in no plan"""
 
 
 def without_each(part: str, names: Iterable[str]) -> dict[str, dict[str, dict]]:
@@ -39,6 +42,7 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "no indirect light": {"material": {"levels": 0}},
     **{f"N = {n}": {"material": {"levels": n}, "preset": {"skip_needless": False}} for n in (1, 2, 3)},
     AS_TAKEN: {"preset": {"even_exposure": False}},
+    TURNTABLE_OFF: {"preset": {"turntable": False}},
     "brightness as taken": {"preset": {"brightness": 0.0}},
     "one material": {"material": {"most_materials": 1, "varied_gain": math.inf}},
     "a palette for all objects": {"material": {"varied_gain": math.inf}},
@@ -51,7 +55,8 @@ In all presets w_s is off, and N is 2 where the scene needs it. The ablations of
 N = 2 and N = 3 would become 1 on most objects. "F_e not first" has no visual hull either, because the hull needs steps of
 F_e alone. WITHOUT_F_E changes no field of a preset: step.py gives stage 2 no F_e. All light is then a map at infinity, which
 is found by the object's reflections alone (the paper puts an MLP there). AS_TAKEN changes something only where the exposures
-of photos differ, and is in no plan."""
+of photos differ, and TURNTABLE_OFF only where the object turned: the light turns with the object then, as for a method that
+knows no turntables."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +125,7 @@ class Run:
 
 
 CHOICES = tuple(f.name for f in fields(Run) if f.name != "capture")
-_PLANNED = tuple(name for name in ABLATIONS if name != AS_TAKEN)
+_PLANNED = tuple(name for name in ABLATIONS if name not in OF_SOME_CAPTURES)
 _STAGE_2 = tuple(name for name in _PLANNED if set(ABLATIONS[name]) <= {"material", "environment", "preset"})
 
 PLANS: dict[str, tuple[dict[str, Sequence], ...]] = {

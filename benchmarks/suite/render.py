@@ -5,8 +5,10 @@
 suzanne and box are shapes of Blender in the room of `backend/synthetic.py`. gold_0.05 ... gold_0.8 show suzanne in the same
 room, with the same cameras and the same gold, but each has another roughness. `scene.blend` is written for relighting.
 random_1, random_2 ... are scenes that `backend/synthetic.py --random` draws from that seed, with as many photos as the scene
-says, whatever VIEWS is. They have no `scene.blend`. OBJECT+EFFECT is a capture of photographs (`--photograph EFFECT`) of
-suzanne, box, a mesh file or random_1, random_2 ...; OBJECT+clean has no effect. This file needs the extra `bpy`.
+says, whatever VIEWS is. suzanne_turned and box_turned are on a turntable, with three heights of the camera; suzanne_walked
+and box_walked have the same cameras around an object that stands still. These and the random scenes have no `scene.blend`.
+OBJECT+EFFECT is a capture of photographs (`--photograph EFFECT`) of suzanne, box, a mesh file or random_1, random_2 ...;
+OBJECT+clean has no effect. This file needs the extra `bpy`.
 """
 
 from __future__ import annotations
@@ -20,7 +22,15 @@ RANDOM = "random_"
 RANDOM_TEST_VIEWS = 4
 CLEAN = "clean"
 """Takes the place of an effect in the name of a capture without effects"""
-SETS = {"shapes": ("suzanne", "box"), "roughness": tuple(f"gold_{roughness:g}" for roughness in ROUGHNESSES)}
+TURNED, WALKED = "_turned", "_walked"
+"""Endings of the names of a turntable and of its control"""
+ROWS = 3
+"""Heights of the camera of a turntable"""
+SETS = {
+    "shapes": ("suzanne", "box"),
+    "roughness": tuple(f"gold_{roughness:g}" for roughness in ROUGHNESSES),
+    "turntables": tuple(f"{shape}{ending}" for shape in ("suzanne", "box") for ending in (TURNED, WALKED)),
+}
 
 
 def photograph_name(thing: str, effect: str) -> str:
@@ -54,6 +64,14 @@ def photograph_options(
     return [*options, "--samples", str(samples), "--threads", str(threads), "--fast", *photograph]
 
 
+def turntable_options(name: str, folder: Path, views: int, size: int, samples: int, threads: int) -> list[str]:
+    """The options of `synthetic.py` for a turntable, or for its control."""
+    shape, _, how = name.rpartition("_")
+    options = ["--scene", shape, "--out", str(folder), "--views", str(views), "--size", str(size), "--samples", str(samples)]
+    options += ["--threads", str(threads), "--fast", "--turntable", str(ROWS)]
+    return [*options, "--walk"] if f"_{how}" == WALKED else options
+
+
 def render(name: str, folder: Path, views: int, size: int, samples: int, threads: int) -> int:
     """Render a capture. transforms.json is written last. Returns an exit code."""
     import bpy
@@ -67,6 +85,8 @@ def render(name: str, folder: Path, views: int, size: int, samples: int, threads
         return synthetic.main(photograph_options(thing, effect, folder, views, size, samples, threads))
     if name.startswith(RANDOM):
         return synthetic.main(random_options(name, folder, size, samples, threads))
+    if name in SETS["turntables"]:
+        return synthetic.main(turntable_options(name, folder, views, size, samples, threads))
     scene, material = name, scenes.DEFAULT_MATERIAL.get(name)
     if name.startswith("gold_"):
         scene, material = "suzanne", name

@@ -25,7 +25,7 @@ SIDE = 192
 """Pixels of the longer side of the copies that are compared"""
 SMOOTH = 6.0
 """Pixels of a copy. Details are what a Gaussian filter of this width takes away."""
-PARTNERS = 12
+PARTNERS = 20
 """Each photo is compared with about so many others, from all parts of the sequence."""
 MOST_ALIKE = 0.4
 """Of the places of two photos that have details, the differences of this share count, the smallest ones. The object may
@@ -41,9 +41,10 @@ MOST_SHIFT = 0.15
 DRIFT, DRIFTS = 0.04, 0.7
 """The surroundings drift if the shifts grow with the photos' numbers: by more than the first number from the first photo to
 the last, as a share of the longer side, and with a correlation of more than the second number."""
-SAME_AS = 0.2
+SAME_AS = 0.1
 """A photo's surroundings stand still if this share of the photos that it is compared with show the same, and at least two.
-The camera may stand at several heights, and only photos from one height agree."""
+The camera may stand at several heights, and only photos from one height agree: a quarter of all with four heights, and not
+each of these. After four walks, no photo has a partner that shows the same."""
 LEAST_STILL = 0.6
 """It is a turntable if this share of the photos have surroundings that stand still."""
 RECURS = 0.2

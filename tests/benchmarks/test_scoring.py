@@ -12,7 +12,7 @@ import trimesh
 pytest.importorskip("igl")
 from backend.synthetic_capture.random_scene import draw_scene
 from benchmarks.row_files import write_row
-from benchmarks.scoring import shading_normals
+from benchmarks.scoring import light_map, shading_normals
 from benchmarks.scoring.environment import background_psnr, exposures_differ
 from benchmarks.scoring.geometry import Body, inner, load_test_views, score, true_mesh
 from benchmarks.scoring.materials import read_channels
@@ -281,3 +281,36 @@ def test_a_rescaled_albedo_scales_what_a_metal_reflects():
     """A metal that faces the camera under a gray light reflects its albedo times the light."""
     pytest.importorskip("bpy")
     in_blender(check_rescaled_albedo)
+
+
+def test_a_map_of_the_light_is_compared_by_solid_angle():
+    light = np.random.default_rng(0).uniform(0, 1, (64, 128, 3)).astype(np.float32)
+    same = light_map.compare(light, light)
+    assert same["light_psnr"] > 100 and same["light_correlation"] == pytest.approx(1)
+    gray = np.full((64, 128, 3), 0.5, np.float32)
+    off = np.log(1 + 4 * 0.5) / np.log(5) - np.log(1 + 4 * 0.25) / np.log(5)
+    found = light_map.compare(gray, 0.5 * gray)
+    assert found["light_psnr"] == pytest.approx(-20 * np.log10(off), abs=1e-3)
+    assert found["light_ratio"] == pytest.approx([2, 2, 2], abs=1e-5)
+    upper, ring = gray.copy(), gray.copy()
+    upper[:32] *= 0.5  # half of all directions
+    ring[28:36] *= 0.5  # a share of sin(pi / 16) of all directions
+    for changed, share in ((upper, 0.5), (ring, np.sin(np.pi / 16))):
+        expected = -10 * np.log10(share * off**2)
+        assert light_map.compare(gray, changed)["light_psnr"] == pytest.approx(expected, abs=0.01)
+    with pytest.raises(ValueError, match="60 x 120"):
+        light_map.coarse(np.zeros((60, 120, 3)))
+
+
+def test_light_is_scored_only_in_the_room_of_the_first_photo(tmp_path):
+    asset = tmp_path / "asset"
+    asset.mkdir()
+    assert light_map.score(tmp_path, asset) == {}, "the capture has no true light"
+    light = np.full((32, 64, 3), 0.5, np.float32)
+    write_exr(tmp_path / "light.exr", light)
+    write_exr(asset / "environment.exr", light)
+    write_row(tmp_path / "transforms.json", {"frames": [{"file_path": "images/000.exr"}, {"file_path": "images/001.exr"}]})
+    write_row(asset / "cameras.json", {"frames": [{"file_path": "../images/000.exr"}]})
+    assert light_map.score(tmp_path, asset)["light_psnr"] > 100
+    write_row(asset / "cameras.json", {"frames": [{"file_path": "../images/001.exr"}]})
+    assert light_map.score(tmp_path, asset) == {}, "the object stood otherwise"

@@ -8,6 +8,7 @@ import torch
 from scipy import ndimage
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture.rays.rigid_motions import RigidMotions
 from blender_nep.fields.object.field import ObjectField
 from blender_nep.fields.refinements import cavities as cavity_search
 from blender_nep.fields.refinements.cavities import CavityOpening, find_cavities
@@ -82,6 +83,15 @@ def test_the_object_field_is_opened(tmp_path):
     axis = torch.tensor([[0.0, 0.0, z] for z in (-0.3, 0.0, 0.3, 0.6)])
     assert (field.sdf(axis) > 0.05).all()
     assert (field.sdf(torch.tensor([[0.5, 0.0, 0.0], [0.0, -0.5, 0.3], [0.0, 0.0, -0.55]])) < 0).all()
+
+
+def test_nothing_is_opened_on_a_turntable(tmp_path):
+    """There the photos disagree on every surface, because the object turns in its light."""
+    rays = pixels(write_pot_scene(tmp_path / "pot", of_thickness(0.1)))
+    still = RigidMotions(torch.eye(3).repeat(rays.views, 1, 1), torch.zeros(rays.views, 3))
+    opening = CavityOpening(0.5)
+    assert opening.skipped(SimpleNamespace(rays=rays)) is None
+    assert opening.skipped(SimpleNamespace(rays=rays.with_turntable(still))).code == "reason.turntable"
 
 
 @pytest.mark.parametrize("sdf", [1.0, -1.0])

@@ -53,12 +53,33 @@ def test_a_hostile_case_gives_a_sound_asset_or_a_clear_refusal(tmp_path_factory,
         Case(duplicates="pairs", told="yes", pixels="negative"),
         Case(distance=100.0, told="yes", pixels="huge"),
         Case(mesh="soup", told="yes", pixels="nan", views=3),
+        Case(turntable="told", told="yes"),
     ],
     ids=lambda case: digest(case),
 )
 def test_cases_that_failed_once_or_that_the_issue_names(tmp_path, case):
     row = run_case(case, tmp_path)
     assert row["code"] == 0 and not row["failures"]
+
+
+def test_a_walk_that_is_said_to_be_a_turntable_is_refused(tmp_path):
+    row = run_case(Case(turntable="walk"), tmp_path)
+    assert row["code"] == 3 and not row["failures"]
+
+
+@pytest.mark.parametrize("turntable", ["told", "untold", "walk"])
+def test_a_row_of_a_turntable_shows_the_same_room(tmp_path, turntable):
+    write_capture(Case(turntable=turntable, shape="nothing", views=8, size=16), tmp_path)
+    meta = json.loads((tmp_path / "transforms.json").read_text())
+    capture = load_capture(tmp_path)
+    rays = PixelRays.from_capture(capture, 900, True)
+    photos = rays.radiance.view(8, -1)
+    for row in (photos[:4], photos[4:]):
+        assert bool((row - row[0]).abs().max() < 1e-5) == (turntable != "walk")
+    assert (photos[0] - photos[4]).abs().max() > 0.01, "the camera is higher in the second row"
+    assert meta.get("turntable", False) == (turntable != "untold")
+    places = np.array([view.camera.camera_to_world[:3, 3] for view in capture.views])
+    assert len(np.unique(places.round(6), axis=0)) == 8
 
 
 @pytest.fixture(scope="module")

@@ -68,7 +68,8 @@ class CavityOpening:
         self.at = (at,)
 
     def skipped(self, stage: StageOne) -> Message | None:
-        return None
+        # Photos of a turntable disagree on every surface, because its light differs from photo to photo.
+        return None if stage.rays.turntable is None else Message("reason.turntable")
 
     @torch.no_grad()
     def apply(self, stage: StageOne) -> Change:

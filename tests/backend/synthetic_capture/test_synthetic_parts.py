@@ -31,6 +31,7 @@ def check_options():
         ("--develop a --photograph all", "--develop does not render aperture, framing"),
         ("--develop a --photograph noise --test-views 3", "--test-views has no effect with --develop"),
         ("--walk", "--walk has no effect without --turntable"),
+        ("--printed", "--printed has no effect without --turntable"),
         ("--random 3 --turntable 2", "--turntable has no effect with --random"),
         ("--turntable 9", "invalid choice: 9"),
         ("--turntable 1 --photograph framing two_days", "--photograph framing two_days does not"),
