@@ -18,7 +18,6 @@ from blender_nep.ops.compilation import kernel
 from blender_nep.ops.environment.contracted_rays import contraction_border, place_on_ray
 from blender_nep.ops.environment.spherical_grid import angular_cell, bilinear_2d, bilinear_weights, cell, cell_columns, polar
 
-
 _NODE = 5
 """Values of a node: premultiplied radiance (3), opacity, opacity times coverage."""
 _GREEN, _BLUE, _OPACITY, _SEEN = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
@@ -247,8 +246,8 @@ def composite_cones(
     the levels of a field on a GPU were copied once, when they were prefiltered.
 
     Args:
-        levels: each radius is larger than the one before it by a constant ratio, and from the level `dense_from` (at least 1)
-            on by the square root of this ratio.
+        levels: each radius is larger than the one before it by a constant ratio, and from the level `dense_from` (at least
+            1) on by the square root of this ratio.
         detail: [D, 2 D, 3], D > H_0: the color in each direction divided by its mean over the narrowest disc. Cones narrower
             than this disc are multiplied by it.
         shell_radii: [K], the sky's may be inf; occupied: [K] bool, whether a shell is looked up;
