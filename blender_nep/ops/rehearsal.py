@@ -107,7 +107,7 @@ def _prefiltered() -> np.ndarray:
 
 def _cones() -> None:
     level = np.zeros((8, 16, 3, 5), np.float32)
-    levels, shells = ConeLevels.joined([level, level], [0.1, 0.2]), torch.tensor([1.0, 2.0, 4.0])
+    levels, shells = ConeLevels.joined([(0.1, level), (0.2, level)]), torch.tensor([1.0, 2.0, 4.0])
     origins, directions, near, _ = _segments()
     known = torch.ones(3, dtype=torch.bool)
     detail = np.ones((16, 32, 3), np.float32)

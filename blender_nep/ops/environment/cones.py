@@ -7,6 +7,7 @@ and opacity times coverage. This is voxel cone tracing (Crassin et al. 2011) in 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numba
@@ -38,15 +39,16 @@ class ConeLevels(NamedTuple):
     """[L] float64: angular radii of the levels' discs in radians"""
 
     @classmethod
-    def joined(cls, levels: list[np.ndarray], radii: list[float]) -> ConeLevels:
-        """The levels, each [rows, 2 rows, K, 5], and the radii of their discs, both in rising order of the radii."""
-        ends = np.cumsum([level.size for level in levels])
-        return cls(
-            np.concatenate([level.ravel() for level in levels]),
-            np.concatenate([[0], ends[:-1]]),
-            np.array([len(level) for level in levels]),
-            np.array(radii, np.float64),
-        )
+    def joined(cls, levels: Iterable[tuple[float, np.ndarray]]) -> ConeLevels:
+        """The angular radius of each level's discs, and the level [rows, 2 rows, K, 5], in rising order of the radii."""
+        values, first, rows, radii = np.empty(0, np.float32), [], [], []
+        for radius, level in levels:
+            first.append(values.size)
+            rows.append(len(level))
+            radii.append(radius)
+            values.resize(values.size + level.size, refcheck=False)  # in place, because the levels are large
+            values[first[-1] :] = level.ravel()
+        return cls(values, np.array(first), np.array(rows), np.array(radii, np.float64))
 
 
 @kernel(inline="always", fastmath=True, error_model="numpy")
