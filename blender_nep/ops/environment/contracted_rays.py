@@ -30,9 +30,8 @@ def place_on_ray(w, exp_w, b, border, contraction_radius, to_shell):
         u = math.log(0.5 * b * (exp_w + inverse))
     else:
         z = max(z_border - (abs(w) - w_border) * b / contraction_radius, SMALLEST_ANGLE)
-        sine = math.sin(z)
-        t = math.copysign(b * math.sqrt(1.0 - sine * sine) / sine, w)  # z is at most a right angle; math.tan is slow
-        u = math.log(contraction_radius) + 1.0 - contraction_radius * sine / b
+        t = math.copysign(b / math.tan(z), w)
+        u = math.log(contraction_radius) + 1.0 - contraction_radius * math.sin(z) / b
     return t, u * to_shell
 
 

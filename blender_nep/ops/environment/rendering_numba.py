@@ -120,12 +120,12 @@ def _march_ray(i, raw, detail, rays, medium, rendered, records, keep):
         if not closing:
             value = trilinear(raw, k, shell_weights, corners, weights, 0)
             q = math.exp(-abs(value))
-            density = density_gain * (max(value, 0.0) + math.log(1.0 + q))  # log1p is slow; only tiny densities need it
+            density = density_gain * (max(value, 0.0) + math.log1p(q))
             depth = density * step
             if depth < depth_limit:
                 continue
             slope = density_gain * step * (1.0 / (1.0 + q) if value >= 0.0 else q / (1.0 + q))
-            alpha = 1.0 - math.exp(-depth)  # expm1 is slow; only depths far below `depth_limit` need it
+            alpha = -math.expm1(-depth)
         weight = passed * alpha
         on_ray = (w_length[i] if closing else (n + jitter[i]) * step) / length
         width = 0.0 if closing else step / length
