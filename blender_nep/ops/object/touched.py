@@ -20,7 +20,8 @@ PART = 1 << 16
 def _sums(values, squares, touched):
     """Fill squares and touched [parts]: of each part of values [n], the sum of squares and the number of nonzero entries."""
     for part in prange(squares.shape[0]):
-        own = values[part * PART : (part + 1) * PART]  # counted from 0, so that no index may be negative: see below
+        # Numba handles negative indices, but not where an index counts from 0. So this becomes vector instructions.
+        own = values[part * PART : (part + 1) * PART]
         total, count = 0.0, 0.0
         for i in range(own.shape[0]):
             value = own[i]
