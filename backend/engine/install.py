@@ -265,6 +265,9 @@ def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
     if code != 0:
         raise InstallError(f"The engine was installed and does not start: {text[-300:]}", "The log has the details.")
     torch, library = text.split("versions ")[-1].split()[:2]
+    emit("progress", fraction=0.96, message="Compiling the engine's kernels: about a minute")
+    # If this fails, the first job compiles them.
+    programs.run([str(python), "-I", "-m", "blender_nep.ops.rehearsal"])
     about = {"python": "{}.{}".format(*version), "torch": torch, "blender_nep": library, "build": options.build}
     partial = environment / (DONE + ".partial")
     partial.write_text(json.dumps(about, indent=1), encoding="utf-8")

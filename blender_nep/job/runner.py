@@ -15,13 +15,14 @@ import torch
 from blender_nep.asset.export import Placement
 from blender_nep.asset.preview import PreviewView
 from blender_nep.checkpoints import DAMAGED, Checkpoint
-from blender_nep.job.device import choose_device
+from blender_nep.job.device import choose_device, usable_cores
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.explained import ExplainedReport, explained
 from blender_nep.job.folders.job_folder import JobFolder
 from blender_nep.job.folders.own_files import PREVIEW, PROFILE
 from blender_nep.job.folders.run_folder import RunFolder
 from blender_nep.job.heap import keep_freed_memory
+from blender_nep.job.kernels import compiled_beside
 from blender_nep.job.preparation import (
     Preparation,
     Prepared,
@@ -75,7 +76,8 @@ def run(settings: Settings, events: Events, stop: StopRequest, stages: Stages | 
 
     def work() -> None:
         # An SDF in bfloat16 has steps of 1/256 object radii. So a job uses full precision, even if its caller does not.
-        with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
+        full_precision = torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False)
+        with full_precision[0], full_precision[1], compiled_beside(settings.threads or usable_cores()):
             job.run()
 
     try:

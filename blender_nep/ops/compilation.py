@@ -22,6 +22,7 @@ from numba.core.compiler_lock import global_compiler_lock
 _LONGEST_WAIT_S = 300.0
 """A process that was stopped while it compiles must not stop all others. No kernel compiles for so long."""
 _PAUSE_S = 0.02
+_after_compiling: list[Callable[[Path], None]] = []
 
 
 def kernel(**options: Any) -> Callable[[Callable], Any]:
@@ -37,12 +38,44 @@ def kernel(**options: Any) -> Callable[[Callable], Any]:
             """What Numba calls for a signature that this process has not called yet."""
             # Numba's lock of threads comes first: a thread that holds a file's lock never waits for another thread.
             with global_compiler_lock, _locked(Path(folder) / f"{function.__module__}.{function.__qualname__}.lock"):
-                return compile_or_load(signature)
+                before = sum(dispatcher.stats.cache_misses.values())
+                compiled = compile_or_load(signature)
+            if sum(dispatcher.stats.cache_misses.values()) > before:
+                for call in _after_compiling:
+                    call(Path(folder))
+            return compiled
 
         dispatcher.compile = compile_once
         return dispatcher
 
     return decorate
+
+
+@contextmanager
+def after_compiling(call: Callable[[Path], None]) -> Iterator[None]:
+    """Within this context, call(folder) is called whenever this process has compiled a kernel that was not on the disk.
+
+    `folder` is where the kernel is kept.
+    """
+    _after_compiling.append(call)
+    try:
+        yield
+    finally:
+        _after_compiling.remove(call)
+
+
+@contextmanager
+def held_alone(path: Path) -> Iterator[bool]:
+    """Hold the lock of a file, if no other process holds it. Gives whether this process may go on: also without locks."""
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError:
+        yield True
+        return
+    try:
+        yield _lock(descriptor)
+    finally:
+        os.close(descriptor)  # gives the lock back
 
 
 @contextmanager

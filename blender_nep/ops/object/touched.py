@@ -20,11 +20,13 @@ PART = 1 << 16
 def _sums(values, squares, touched):
     """Fill squares and touched [parts]: of each part of values [n], the sum of squares and the number of nonzero entries."""
     for part in prange(squares.shape[0]):
-        total, count = 0.0, 0
-        for i in range(part * PART, min((part + 1) * PART, values.shape[0])):
-            value = values[i]
+        # Numba handles negative indices, but not where an index counts from 0. So this becomes vector instructions.
+        own = values[part * PART : (part + 1) * PART]
+        total, count = 0.0, 0.0
+        for i in range(own.shape[0]):
+            value = own[i]
             total += value * value
-            count += value != 0
+            count += 1.0 if value != 0 else 0.0
         squares[part], touched[part] = total, count
 
 

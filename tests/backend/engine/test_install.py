@@ -67,6 +67,13 @@ def test_an_installation_makes_an_engine_with_the_chosen_build(base, tmp_path):
     assert code == 0 and "--index-url" not in (tmp_path / "pip.txt").read_text().splitlines()[4]
 
 
+@pytest.mark.parametrize("mode", ["well", "no compiler"])
+def test_an_installation_compiles_the_kernels_if_it_can(base, mode, tmp_path):
+    base(mode)
+    code, told = end(begin(base))
+    assert (code, told[-1]["event"]) == (0, "done") and (tmp_path / "compiled").exists()
+
+
 def test_variables_of_pip_say_only_how_the_index_is_reached(base, tmp_path, monkeypatch):
     for name in (
         "PIP_TARGET",
