@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from blender_nep.fields.environment.prefilter import disc_mean
-from blender_nep.ops.environment.cones import ConeLevels, composite_cones
 from blender_nep.ops.environment.rendering import EnvironmentVolume, render_environment
 from blender_nep.ops.environment.rendering_torch import interpolate
 from blender_nep.ops.environment.segments import RaySegments, contract_segments, contracted_length, contracted_radius
@@ -360,29 +359,3 @@ def test_variation_bodies_agree_and_a_step_costs_its_height():
     step[2:] = 3.0
     for value in (total_variation(step, (1.0,), 1e-9), add_total_variation_gradient(step, (1.0,), 1e-9, step.clone())):
         assert float(value) == pytest.approx(3.0 / 3)
-
-
-def test_a_cone_reads_the_node_at_which_it_points():
-    """At all nodes of two levels of different sizes: cones from the center, as wide as the level, from one shell on."""
-    random, shell_radii, radii = np.random.default_rng(0), torch.tensor([1.0, 2.0, 5.0]), [0.2, 0.4]
-    levels = [random.random((rows, 2 * rows, 3, 5), np.float32) for rows in (8, 4)]
-    for level, half_angle in zip(levels, radii, strict=True):
-        level[..., 3] = 1  # opaque: what is behind a shell does not count
-        row, column, shell = (index.ravel() for index in np.indices(level.shape[:3]))
-        fall, turn = (row + 0.5) * math.pi / len(level), (column + 0.5) * math.pi / len(level) - math.pi
-        directions = np.stack([np.sin(fall) * np.cos(turn), np.sin(fall) * np.sin(turn), np.cos(fall)], 1)
-        directions = torch.from_numpy(directions.astype(np.float32))
-        found = composite_cones(
-            ConeLevels.joined(zip(radii, levels, strict=True)),
-            1,
-            np.ones((16, 32, 3), np.float32),
-            shell_radii,
-            torch.ones(3, dtype=torch.bool),
-            torch.zeros(3),
-            torch.zeros_like(directions),
-            directions,
-            shell_radii[shell],
-            torch.full((len(row),), half_angle),
-        )
-        expected = torch.from_numpy(level[row, column, shell][:, [0, 1, 2, 4]])
-        torch.testing.assert_close(found, expected, atol=1e-4, rtol=0)

@@ -13,13 +13,12 @@ convolution kernel over the azimuth; the convolutions are done by FFT along the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import torch
 
 from blender_nep.fields.environment.grid import resample
-from blender_nep.ops.environment.cones import ConeLevels, composite_cones
+from blender_nep.ops.environment.cones import composite_cones
 from blender_nep.ops.environment.segments import contracted_length, contracted_radius, far_share
 from blender_nep.ops.environment.spherical_grid import COLOR_LIMIT
 from blender_nep.ops.environment.weights import from_weights, weights_from_center
@@ -86,20 +85,6 @@ def _add_detail(values: torch.Tensor, detail: torch.Tensor, far: torch.Tensor) -
     return (factor / resample(mean[None].expand(2, -1, -1, -1), 2, len(factor))[0]).contiguous().numpy()
 
 
-def _levels(values: torch.Tensor) -> Iterator[tuple[float, np.ndarray]]:
-    """The angular radius of each level, and the level, from the weights [K, H, W, 5] of the finest one."""
-    radius, count = TENT_RADIUS * math.pi / values.shape[1], 1
-    yield radius, from_weights(values)
-    while radius < math.pi / 2:
-        radius *= RATIO if count == 1 or radius < DENSE_FROM else math.sqrt(RATIO)
-        while _divisible(values) and radius > LEAST_TEXELS * math.pi / values.shape[1]:
-            values = _halve(values)
-        texel = math.pi / values.shape[1]
-        stored = disc_mean(values, math.sqrt(radius**2 - (TENT_RADIUS * texel) ** 2)).clamp(min=0)
-        yield radius, from_weights(stored)
-        count += 1
-
-
 class PrefilteredEnvironment:
     """A learned environment field, as far as photos show it, that can be queried with cones.
 
@@ -127,8 +112,17 @@ class PrefilteredEnvironment:
         self.detail = _add_detail(values, detail, self.far)
         # a shell that is nowhere visible from the center needs no lookup
         self.occupied = values[..., 3].amax((1, 2)) > 1e-4
-        self.levels = ConeLevels.joined(_levels(values))
-        self.dense_from = max(int((self.levels.radii < DENSE_FROM).sum()), 1)
+        radius = TENT_RADIUS * math.pi / values.shape[1]
+        self.levels, self.radii = [from_weights(values)], [radius]
+        while radius < math.pi / 2:
+            radius *= RATIO if len(self.radii) == 1 or radius < DENSE_FROM else math.sqrt(RATIO)
+            while _divisible(values) and radius > LEAST_TEXELS * math.pi / values.shape[1]:
+                values = _halve(values)
+            texel = math.pi / values.shape[1]
+            stored = disc_mean(values, math.sqrt(radius**2 - (TENT_RADIUS * texel) ** 2)).clamp(min=0)
+            self.levels.append(from_weights(stored))
+            self.radii.append(radius)
+        self.dense_from = max(sum(radius < DENSE_FROM for radius in self.radii), 1)
 
     def query(
         self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor, near: torch.Tensor
@@ -139,6 +133,7 @@ class PrefilteredEnvironment:
         """
         out = composite_cones(
             self.levels,
+            self.radii,
             self.dense_from,
             self.detail,
             self.shell_radii,

@@ -7,7 +7,6 @@ and opacity times coverage. This is voxel cone tracing (Crassin et al. 2011) in 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numba
@@ -19,79 +18,31 @@ from blender_nep.ops.compilation import kernel
 from blender_nep.ops.environment.contracted_rays import contraction_border, place_on_ray
 from blender_nep.ops.environment.spherical_grid import angular_cell, bilinear_2d, bilinear_weights, cell, cell_columns, polar
 
-_NODE = 5
-"""Values of a node: premultiplied radiance (3), opacity, opacity times coverage."""
-_GREEN, _BLUE, _OPACITY, _SEEN = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
-"""Places of a node's values after the first one, red. Numba handles negative indices, but not for unsigned integers. Without
-that, the values of a node are added by vector instructions."""
-
-
-class ConeLevels(NamedTuple):
-    """The levels of a prefiltered field."""
-
-    values: np.ndarray
-    """[m] float32: the levels [rows, 2 rows, K, 5] of `weights.from_weights`, one after the other, the narrowest first"""
-    first: np.ndarray
-    """[L] int64: where each level begins in `values`"""
-    rows: np.ndarray
-    """[L] int64"""
-    radii: np.ndarray
-    """[L] float64: angular radii of the levels' discs in radians"""
-
-    @classmethod
-    def joined(cls, levels: Iterable[tuple[float, np.ndarray]]) -> ConeLevels:
-        """The angular radius of each level's discs, and the level [rows, 2 rows, K, 5], in rising order of the radii."""
-        values, first, rows, radii = np.empty(0, np.float32), [], [], []
-        for radius, level in levels:
-            first.append(values.size)
-            rows.append(len(level))
-            radii.append(radius)
-            values.resize(values.size + level.size, refcheck=False)  # in place, because the levels are large
-            values[first[-1] :] = level.ravel()
-        return cls(values, np.array(first), np.array(rows), np.array(radii, np.float64))
-
 
 @kernel(inline="always", fastmath=True, error_model="numpy")
-def _node_sum(values, a, b, c, d, weights, h):
-    """The sum of value h of the four nodes that begin at a, b, c and d, with these weights."""
-    w0, w1, w2, w3 = weights
-    return w0 * values[a + h] + w1 * values[b + h] + w2 * values[c + h] + w3 * values[d + h]
-
-
-@kernel(inline="always", fastmath=True, error_model="numpy")
-def _level_values(values, first, rows, shells, k, turn, fall, share):
-    """share * (the five bilinear values of shell k of a level), in the direction of the `polar` angles turn, fall."""
-    columns = 2 * rows
+def _add_level(grid, k, turn, fall, share, out):
+    """Add share * (bilinear value of shell k) to out [5], in the direction of the `polar` angles turn, fall."""
+    rows, columns = grid.shape[0], grid.shape[1]
     j, c, fj, fc = cell(turn, fall, rows, columns)
     top, bottom, tl, tr, bl, br = cell_columns(j, c, rows, columns)
-    weights = (
-        share * (1.0 - fj) * (1.0 - fc),
-        share * (1.0 - fj) * fc,
-        share * fj * (1.0 - fc),
-        share * fj * fc,
-    )
-    upper_left = np.uint64(first + ((top * columns + tl) * shells + k) * _NODE)
-    upper_right = np.uint64(first + ((top * columns + tr) * shells + k) * _NODE)
-    lower_left = np.uint64(first + ((bottom * columns + bl) * shells + k) * _NODE)
-    lower_right = np.uint64(first + ((bottom * columns + br) * shells + k) * _NODE)
-    red = _node_sum(values, upper_left, upper_right, lower_left, lower_right, weights, np.uint64(0))
-    green = _node_sum(values, upper_left, upper_right, lower_left, lower_right, weights, _GREEN)
-    blue = _node_sum(values, upper_left, upper_right, lower_left, lower_right, weights, _BLUE)
-    opacity = _node_sum(values, upper_left, upper_right, lower_left, lower_right, weights, _OPACITY)
-    seen = _node_sum(values, upper_left, upper_right, lower_left, lower_right, weights, _SEEN)
-    return red, green, blue, opacity, seen
+    w0 = share * (1.0 - fj) * (1.0 - fc)
+    w1 = share * (1.0 - fj) * fc
+    w2 = share * fj * (1.0 - fc)
+    w3 = share * fj * fc
+    for h in range(5):
+        out[h] += (
+            w0 * grid[top, tl, k, h] + w1 * grid[top, tr, k, h] + w2 * grid[bottom, bl, k, h] + w3 * grid[bottom, br, k, h]
+        )
 
 
 @kernel(inline="always", fastmath=True, error_model="numpy")
-def _sharpness(detail, turn, fall, share):
-    """Factors of the three colors: the bilinear value of the detail [D, 2 D, 3], mixed with 1 by `share`, 0..1."""
+def _sharpen(detail, turn, fall, share, out):
+    """Multiply the color of out [5] by the bilinear value of the detail [D, 2 D, 3], mixed with 1 by `share`, 0..1."""
     rows, columns = detail.shape[0], detail.shape[1]
     j, c, fj, fc = cell(turn, fall, rows, columns)
     corners, weights = cell_columns(j, c, rows, columns), bilinear_weights(fj, fc)
-    red = 1.0 + share * (bilinear_2d(detail, corners, weights, 0) - 1.0)
-    green = 1.0 + share * (bilinear_2d(detail, corners, weights, 1) - 1.0)
-    blue = 1.0 + share * (bilinear_2d(detail, corners, weights, 2) - 1.0)
-    return red, green, blue
+    for h in range(3):
+        out[h] *= 1.0 + share * (bilinear_2d(detail, corners, weights, h) - 1.0)
 
 
 SKY_RADIUS = 1e9
@@ -128,13 +79,13 @@ def _neighbors_first(directions: torch.Tensor, half_angle: torch.Tensor, ratio: 
 
 
 @kernel(fastmath=True, error_model="numpy")
-def _composite_block(block, levels_of, dense_from, detail, shell_radii, occupied, far, cones, out, blocks):
+def _composite_block(block, levels_of, radii, dense_from, detail, shell_radii, occupied, far, cones, out, blocks):
     """What `_composite` does in one of its tasks."""
     origins, directions, near, half_angle, order = cones
-    values, firsts, rows, radii = levels_of
     n, levels, shells = origins.shape[0], radii.shape[0], shell_radii.shape[0]
     to_level = 1.0 / math.log(radii[1] / radii[0])
-    first, to_finer = math.log(radii[0]), 1.0 / math.log(detail.shape[0] / rows[0])
+    first, to_finer = math.log(radii[0]), 1.0 / math.log(detail.shape[0] / levels_of[0].shape[0])
+    value = np.empty(5)
     for p in range(block * n // blocks, (block + 1) * n // blocks):
         i = order[p]
         ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
@@ -157,23 +108,19 @@ def _composite_block(block, levels_of, dense_from, detail, shell_radii, occupied
             level = min(int(place), levels - 2)
             mix = min(place - level, 1.0)
             turn, fall = polar(ox + t * dx, oy + t * dy, oz + t * dz)
-            red_here, green_here, blue_here, opacity, seen_here = 0.0, 0.0, 0.0, 0.0, 0.0
+            for h in range(5):
+                value[h] = 0.0
             if mix < 1.0:
-                red_here, green_here, blue_here, opacity, seen_here = _level_values(
-                    values, firsts[level], rows[level], shells, k, turn, fall, 1.0 - mix
-                )
+                _add_level(levels_of[level], k, turn, fall, 1.0 - mix, value)
             if mix > 0.0:
-                wider = _level_values(values, firsts[level + 1], rows[level + 1], shells, k, turn, fall, mix)
-                red_here, green_here, blue_here = red_here + wider[0], green_here + wider[1], blue_here + wider[2]
-                opacity, seen_here = opacity + wider[3], seen_here + wider[4]
+                _add_level(levels_of[level + 1], k, turn, fall, mix, value)
             if narrower > 0.0 and far[k] > 0.0:
-                sharp = _sharpness(detail, turn, fall, far[k] * min(narrower * to_finer, 1.0))
-                red_here, green_here, blue_here = red_here * sharp[0], green_here * sharp[1], blue_here * sharp[2]
-            red += passed * red_here
-            green += passed * green_here
-            blue += passed * blue_here
-            seen += passed * seen_here
-            passed *= 1.0 - min(opacity, 1.0)
+                _sharpen(detail, turn, fall, far[k] * min(narrower * to_finer, 1.0), value)
+            red += passed * value[0]
+            green += passed * value[1]
+            blue += passed * value[2]
+            seen += passed * value[4]
+            passed *= 1.0 - min(value[3], 1.0)
             if passed < 1e-3:
                 break
         scale = 1.0 / max(1.0 - passed, 1e-9)
@@ -184,13 +131,15 @@ def _composite_block(block, levels_of, dense_from, detail, shell_radii, occupied
 
 
 @kernel(parallel=True, fastmath=True, error_model="numpy")
-def _composite(levels, dense_from, detail, shell_radii, occupied, far, cones, out, blocks):
+def _composite(levels_of, radii, dense_from, detail, shell_radii, occupied, far, cones, out, blocks):
     """Fill out [n, 4]: mean radiance and coverage of n `_Cones`, in `blocks` parallel tasks. See `composite_cones`.
 
     The loop is short for the reason that `environment_rendering_numba._march` tells.
     """
     for block in prange(blocks):
-        _composite_block(np.int64(block), levels, dense_from, detail, shell_radii, occupied, far, cones, out, blocks)
+        _composite_block(
+            np.int64(block), levels_of, radii, dense_from, detail, shell_radii, occupied, far, cones, out, blocks
+        )
 
 
 @kernel()
@@ -231,7 +180,8 @@ def accumulate_coverage(raw, rays, medium, seen):
 
 
 def composite_cones(
-    levels: ConeLevels,
+    levels: list[np.ndarray],
+    radii: list[float],
     dense_from: int,
     detail: np.ndarray,
     shell_radii: torch.Tensor,
@@ -248,8 +198,9 @@ def composite_cones(
     the levels of a field on a GPU were copied once, when they were prefiltered.
 
     Args:
-        levels: each radius is larger than the one before it by a constant ratio, and from the level `dense_from` (at least
-            1) on by the square root of this ratio.
+        levels: each [H_l, W_l, K, 5], see `weights.from_weights`; radii: angular radii of their discs in
+            radians. Each is larger than the one before it by a constant ratio, and from the level `dense_from` (at least 1)
+            on by the square root of this ratio.
         detail: [D, 2 D, 3], D > H_0: the color in each direction divided by its mean over the narrowest disc. Cones narrower
             than this disc are multiplied by it.
         shell_radii: [K], the sky's may be inf; occupied: [K] bool, whether a shell is looked up;
@@ -260,9 +211,10 @@ def composite_cones(
     out = np.empty((len(origins), 4), np.float32)
     near = (near - 1e-4).clamp(min=0)
     cones = [part.detach().cpu().float() for part in (origins, directions, near, half_angle)]
-    order = _neighbors_first(cones[1], cones[3], levels.radii[1] / levels.radii[0])
+    order = _neighbors_first(cones[1], cones[3], radii[1] / radii[0])
     _composite(
-        levels,
+        numba.typed.List(levels),
+        np.asarray(radii, np.float64),
         float(dense_from),
         detail,
         shell_radii.double().clamp(max=SKY_RADIUS).numpy(),
