@@ -119,7 +119,7 @@ def tiny_preset() -> Preset:
             least_explanation_ratio=0.0,
         ),
         environment=replace(
-            EnvironmentPreset(),
+            EnvironmentPreset(detail_step=2),
             resolutions=((8, 12), (10, 16)),
             refine_at=(0.3,),
             coverage_rays=2000,

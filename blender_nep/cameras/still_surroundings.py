@@ -43,7 +43,7 @@ DRIFT, DRIFTS = 0.04, 0.7
 the last, as a share of the longer side, and with a correlation of more than the second number."""
 SAME_AS = 0.1
 """A photo's surroundings stand still if this share of the photos that it is compared with show the same, and at least two.
-The camera may stand at several heights, and only photos from one height agree: a quarter of all with four heights, and not
+The camera may stand at several heights, and only photos from one height agree: a third of all with three heights, and not
 each of these. After four walks, no photo has a partner that shows the same."""
 LEAST_STILL = 0.6
 """It is a turntable if this share of the photos have surroundings that stand still."""

@@ -16,8 +16,11 @@ from blender_nep.capture.rays.pixel_rays import PixelRays
 MOST_EXPOSURE = 1024.0
 """Largest exposure, and the inverse of the smallest one."""
 DARKEST_OBJECT = 0.5
-"""The object is at least this many times as bright as all that sees its sphere. Rendered objects and a gilt cape have 0.6 to
-2, a brass blowtorch has 0.3, a blackened bronze head 0.17 (docs/lab/brightness.md)."""
+"""The object gets at least this many times the brightness that is wanted of all pixels. Beside all that sees its sphere,
+rendered objects and a gilt cape are 0.6 to 2 times as bright, a brass blowtorch 0.3, a head of bronze 0.17 times
+(docs/lab/brightness.md)."""
+MOST_BRIGHTENED = 4.0
+"""Largest factor by which a dark object makes the photos brighter. With 6 instead of 3, the head of bronze was worse."""
 _NEAR = 0.25
 """Without masks, rays that pass the sphere's center at most so far away, in its radii, are taken for the object's."""
 
@@ -31,32 +34,40 @@ def typical_radiance(rays: PixelRays, of_object: bool = False, pixels: int = 10_
     index = rays.sphere[:: max(1, len(rays.sphere) // pixels)]
     if of_object and rays.mask is not None and (rays.mask[index] > 127).any():
         index = index[rays.mask[index] > 127]
-    return _typical(rays, index)
+    return _typical(rays, index) or 1.0
 
 
-def radiance_of_object(rays: PixelRays, pixels: int = 10_000) -> float:
-    """As `typical_radiance`, of the object alone: of its masks, or of what is seen near the sphere's center."""
+def radiance_of_object(rays: PixelRays, pixels: int = 10_000) -> float | None:
+    """As `typical_radiance`, of the object alone: of its masks, or of what is seen near the sphere's center.
+
+    None: no such pixel is there, or all are black.
+    """
     index = rays.sphere[:: max(1, len(rays.sphere) // pixels)]
     if rays.mask is not None:
         own = rays.mask[index] > 127
     else:
         bundle = rays.rays(index)
         own = torch.linalg.cross(bundle.origins, bundle.directions).norm(dim=-1) < _NEAR
-    return _typical(rays, index[own]) if own.any() else typical_radiance(rays, pixels=pixels)
+    return _typical(rays, index[own])
 
 
-def _typical(rays: PixelRays, index: Tensor) -> float:
+def _typical(rays: PixelRays, index: Tensor) -> float | None:
+    """The geometric mean of the pixels index [n] that are not much darker than the others; None if all are black."""
     radiance = rays.photo(index)
     brightness = radiance.mean(-1)
+    if not len(index) or float(brightness.max()) <= 0:
+        return None
     lit = brightness > 0.01 * brightness.quantile(0.9)
-    return float(radiance[lit].clamp(min=1e-6).log().mean().exp()) if lit.any() else 1.0
+    return float(radiance[lit].clamp(min=1e-6).log().mean().exp()) if lit.any() else None
 
 
 def to_brightness(rays: PixelRays, brightness: float) -> PixelRays:
     """The same pixels, with the exposure that makes their typical radiance equal to `brightness`.
 
-    The exposure is longer where the object would be darker than DARKEST_OBJECT times `brightness`.
+    The exposure is longer, by at most MOST_BRIGHTENED, where the object would be darker than DARKEST_OBJECT times
+    `brightness`.
     """
-    typical = min(typical_radiance(rays), radiance_of_object(rays) / DARKEST_OBJECT)
-    exposure = rays.exposure * brightness / typical
+    typical, of_object = typical_radiance(rays), radiance_of_object(rays)
+    darker = 1.0 if of_object is None else DARKEST_OBJECT * typical / of_object
+    exposure = rays.exposure * brightness / typical * min(max(darker, 1.0), MOST_BRIGHTENED)
     return rays.with_exposure(min(max(exposure, 1 / MOST_EXPOSURE), MOST_EXPOSURE))

@@ -62,7 +62,7 @@ class EnvironmentPreset:
     detail_from: float = 0.34
     """Share of the photos' light that must come from beyond `contraction_radius` for F_e to get a color detail. 0: always;
     above 1: never. After so many steps, rooms with a half width of 6 to 11 radii have 0.25 to 0.32, one of 51 radii and a
-    photographed studio 0.31 and 0.32, and other surroundings at infinity 0.36 to 0.6. After more steps, all have less."""
+    photographed studio 0.31 and 0.32, other surroundings at infinity 0.36 and more. After more steps, rooms have less."""
     detail_rays: int = 4096
     """Number of camera rays by which that share is measured."""
     detail_variation: float = 1e-2

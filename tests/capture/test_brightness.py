@@ -8,6 +8,7 @@ import torch
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.brightness import (
     DARKEST_OBJECT,
+    MOST_BRIGHTENED,
     MOST_EXPOSURE,
     radiance_of_object,
     to_brightness,
@@ -75,9 +76,16 @@ def test_masks_say_what_the_object_is():
 
 def test_a_dark_object_becomes_bright_enough(rays):
     """Bronze before a white wall was too dark for the losses, though the photos were bright."""
-    dark, even = (to_brightness(with_object(rays, near_center(rays), of), 0.18) for of in (0.01, 0.4))
+    dark, even = (to_brightness(with_object(rays, near_center(rays), of), 0.18) for of in (0.08, 0.4))
     assert radiance_of_object(dark) == pytest.approx(DARKEST_OBJECT * 0.18, rel=0.05)
     assert typical_radiance(even) == pytest.approx(0.18, rel=1e-4), "an object that is not dark changes nothing"
+
+
+def test_an_object_without_light_changes_nothing(rays):
+    """A silhouette says nothing of its brightness. A very dark object does not make its surroundings bright without end."""
+    black, dark, even = (to_brightness(with_object(rays, near_center(rays), of), 0.18) for of in (0.0, 1e-5, 0.5))
+    assert typical_radiance(black) == pytest.approx(0.18, rel=1e-4)
+    assert dark.exposure < 1.01 * MOST_BRIGHTENED * even.exposure
 
 
 def test_black_photos_are_not_made_bright_without_end(rays):

@@ -83,8 +83,8 @@ def test_learning_does_not_hold_the_object_back_there(rays, monkeypatch):
     batch = torch.cat([hidden[:200], masked.outside[:200], masked.sphere[::37]])
     handed, total = {}, FieldsLosses.total
 
-    def spy(losses, photometric, out, curvature_weight, mask, says):
-        loss = total(losses, photometric, out, curvature_weight, mask, says)
+    def spy(losses, photometric, out, curvature_weight, distortion_weight, mask, says):
+        loss = total(losses, photometric, out, curvature_weight, distortion_weight, mask, says)
         handed["says"] = says
         handed["gradient"] = torch.autograd.grad(loss - photometric, out.opacity, retain_graph=True)[0]
         return loss

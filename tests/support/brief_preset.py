@@ -16,6 +16,6 @@ def brief_preset(**fields) -> Preset:
     few_rays = {"object_rays": 256, "sphere_rays": 256, "outside_rays": 256}
     return replace(
         p,
-        environment=replace(p.environment, rays_per_step=768, coverage_rays=4096),
+        environment=replace(p.environment, rays_per_step=768, coverage_rays=4096, detail_step=2),
         fields=replace(p.fields, **{**brief, **few_rays, **fields}),
     )

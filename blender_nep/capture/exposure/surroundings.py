@@ -56,7 +56,7 @@ MOST_LEFT = 0.85
 where all photos share one exposure, 0.74 to 0.80 where exposures differ by a quarter of a stop, 0.24 to 0.37 with automatic
 exposure."""
 MOST_LEFT_STILL = 0.65
-"""The same on a turntable, where each place of the still room lies at one place of all photos. Measured: 0.997 where all
+"""The same on a turntable, where each place of the still room lies at one place of a row's photos. Measured: 0.997 where all
 photos share one exposure; 0.69, 0.43 and 0.22 where exposures differ by a tenth, a quarter and half a stop. A real
 turntable, whose still pixels hardly differ, has 0.82, because its photos were cropped and its plate turns."""
 MOST_ERROR = 0.03
@@ -258,7 +258,7 @@ def _cells(rays: PixelRays) -> _Entries:
         origins, directions, _ = bundle.in_room()  # where the surroundings stand still
         value = mean[good].log().double().cpu().numpy()
         terms = falloff_terms(rays.from_middle(middle[good])).double().cpu().numpy()
-        if rays.turntable is not None:  # all photos show a place of the still room at one distance from their middles
+        if rays.turntable is not None:  # photos of a row show a place of the still room at one distance from their middles
             terms[:] = 0
         cell, of = _on_surfaces(origins[good], directions[good], distance, planes)
         cells, inverse, count = np.unique(cell, return_inverse=True, return_counts=True)

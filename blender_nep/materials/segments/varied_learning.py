@@ -81,12 +81,16 @@ class VariedLearning:
             return None
         segments = segments_of(self.seen.samples, self.seed)
         gain = gain_of_segments(search, palette, segments)
+        metal, least = None, p.varied_gain
+        if gain < p.varied_gain:
+            # Segments that explain hardly more tell no class, where whole materials do not. But tarnish makes a metal vary.
+            metal = palette.metal
+            if metal is not None:
+                least = p.varied_gain_of_unclear
+            elif bool((palette.palette.metallic > 0.5).all()):
+                metal, least = np.ones(len(palette.label), bool), p.varied_gain_of_metal
+                gain = gain_of_segments(search, palette, segments, torch.ones(len(segments), device=self.seen.device))
         self.report.varied_gain = round(gain, 4)
-        # Segments that explain hardly more tell no class, where whole materials do not. But tarnish makes a metal vary.
-        metal = None if gain >= p.varied_gain else _places_of_metal(palette)
-        least = p.varied_gain if metal is None else p.varied_gain_of_unclear
-        if metal is not None and metal.all():
-            least = p.varied_gain_of_metal
         if gain < least:
             self._skip(Message("reason.palette_explains"))
             return None
@@ -125,10 +129,3 @@ class VariedLearning:
 
     def _skip(self, why: Message) -> None:
         self.report.skipped[str(Part.VARIED_MATERIALS)] = why.state()
-
-
-def _places_of_metal(palette: FoundPalette) -> np.ndarray | None:
-    """Which samples [n] bool lie on metal, if that is known without the segments: by edges of color, or all."""
-    if palette.metal is None and bool((palette.palette.metallic > 0.5).all()):
-        return np.ones(len(palette.label), bool)
-    return palette.metal
