@@ -203,7 +203,7 @@ def main(arguments: list[str]) -> int:
         elif options.random is None:
             views = (62 if options.views is None else options.views, options.test_views)
             drawn = (options.scene, options.material, options.seed)
-            turntable = Turntable(options.turntable, options.walk, options.printed)
+            turntable = Turntable(options.turntable, options.walk, options.printed) if options.turntable else None
             built = build_fixed_scene(*drawn, views, options.snapshots, options.photograph, turntable)
             photographing = Photographing(session=session_of(options, FIELD_OF_VIEW, built.stage, len(built.train)))
             if options.snapshots:

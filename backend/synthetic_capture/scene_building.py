@@ -62,7 +62,7 @@ def build_fixed_scene(
         stage, surroundings = built.stage, Surroundings(built.obstacles, built.support)
         layout = Layout(living_room.ELEVATIONS, heights=(-math.inf, math.inf))
     surroundings = surroundings or Surroundings(obstacles)
-    if turntable and turntable.rows:
+    if turntable is not None:
         turntable = replace(turntable, printed=turntable.printed or patterned)
         return _on_turntable(target, stage, surroundings, layout, rng, views, turntable)
     train = choose_viewpoints(views[0], surroundings, rng, layout)

@@ -30,8 +30,8 @@ PLATE_RADIUS, PLATE_THICKNESS, FOOT_RADIUS = 0.8, 0.06, 0.25
 class Turntable:
     """How photos of a turntable are taken."""
 
-    rows: int = 0
-    """The photos to learn from are taken in so many rows, each from one height; 0: there is no turntable."""
+    rows: int
+    """The photos to learn from are taken in so many rows, each from one height."""
     walk: bool = False
     """The same photos are taken by walking around the object instead."""
     printed: bool = False

@@ -212,9 +212,8 @@ def turns(case: Case) -> np.ndarray:
     """The rotations [views, 3, 3] of the object in the room, about the upright axis; the identity where it stands still."""
     matrices = np.tile(np.eye(3), (case.views, 1, 1))
     if case.turntable in ("told", "untold"):
-        angle = (
-            2 * np.pi * np.arange(case.views) / max(1, case.views // 2)
-        )  # the second row begins where the first one began
+        # the second row begins where the first one began
+        angle = 2 * np.pi * np.arange(case.views) / max(1, case.views // 2)
         matrices[:, :2, :2] = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)
     return matrices[_taken(case)]
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from blender_nep.capture.brightness import typical_radiance
+from blender_nep.capture.brightness import radiance_of_object, typical_radiance
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.fields.rendering import Rendering
 from blender_nep.presets import EnvironmentPreset, FieldsPreset, Preset
@@ -21,7 +21,8 @@ def highlight_threshold(rays: PixelRays, preset: FieldsPreset) -> float:
     It is `preset.highlight_threshold` times the geometric mean radiance of the pixels that see the object's sphere, or, with
     masks, of the object pixels. So it scales with the photos' exposure.
     """
-    return preset.highlight_threshold * typical_radiance(rays, of_object=True)
+    of_object = None if rays.mask is None else radiance_of_object(rays)
+    return preset.highlight_threshold * (of_object or typical_radiance(rays))
 
 
 @dataclass(frozen=True)

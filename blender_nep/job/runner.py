@@ -76,8 +76,11 @@ def run(settings: Settings, events: Events, stop: StopRequest, stages: Stages | 
 
     def work() -> None:
         # An SDF in bfloat16 has steps of 1/256 object radii. So a job uses full precision, even if its caller does not.
-        full_precision = torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False)
-        with full_precision[0], full_precision[1], compiled_beside(settings.threads or usable_cores()):
+        with (
+            torch.autocast("cpu", enabled=False),
+            torch.autocast("cuda", enabled=False),
+            compiled_beside(settings.threads or usable_cores()),
+        ):
             job.run()
 
     try:

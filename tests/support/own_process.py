@@ -23,8 +23,8 @@ def run_file(file: str, *arguments: object, timeout: float, **variables: str) ->
     )
 
 
-def in_blender(function: Callable[..., None], *arguments: object, limit_s: float = LIMIT_S) -> None:
-    """Call a function of a test file, with strings for arguments, in a process that may import bpy.
+def in_blender(function: Callable[..., None], *arguments: object, limit_s: float = LIMIT_S) -> str:
+    """Call a function of a test file, with strings for arguments, in a process that may import bpy; what it printed.
 
     An error that Blender only prints, as that of a handler or a timer, fails the test, too.
     The file ends with: if __name__ == "__main__": globals()[sys.argv[1]](*sys.argv[2:]). Without that end nothing would be
@@ -36,3 +36,4 @@ def in_blender(function: Callable[..., None], *arguments: object, limit_s: float
     done = run_file(inspect.getfile(function), function.__name__, *arguments, timeout=limit_s)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     assert "Traceback" not in done.stderr, done.stderr
+    return done.stdout + done.stderr

@@ -128,9 +128,8 @@ def learn_step(
     adam.zero_grad()
     p = environment.preset
     with section("backward"):
-        (
-            photometric + p.foreground_opacity * (1 - clear).mean() + environment.distortion_cost * distortion.sum() / n
-        ).backward()
+        priors = p.foreground_opacity * (1 - clear).mean() + environment.distortion_cost * distortion.sum() / n
+        (photometric + priors).backward()
     environment.regularize(generator)
     if not usable_gradients([adam]):
         return math.nan
