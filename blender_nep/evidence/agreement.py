@@ -58,13 +58,16 @@ class Majority(NamedTuple):
     """[n] int64: how many photos show the point"""
 
 
-def majority(colors: Tensor) -> Majority:
-    """The color on which most photos agree up to `ALIKE`, of tone-mapped colors [views, n, 3]."""
+def majority(colors: Tensor, most_apart: float = ALIKE) -> Majority:
+    """The color on which most photos agree, of tone-mapped colors [views, n, 3].
+
+    Two photos agree if the mean difference of their channels is less than most_apart.
+    """
     found = []
     for part in colors.split(_CHUNK, 1):
         seen = part.transpose(0, 1)
         shown = torch.isfinite(seen[..., 0])
-        alike = (seen[:, :, None] - seen[:, None]).abs().mean(-1) < ALIKE  # False for NaN
+        alike = (seen[:, :, None] - seen[:, None]).abs().mean(-1) < most_apart  # False for NaN
         most, best = alike.sum(2).max(1)
         chosen = alike[torch.arange(len(seen), device=seen.device), best]
         color = torch.where(chosen[..., None], seen, 0.0).sum(1) / most.clamp_min(1)[:, None]

@@ -15,13 +15,13 @@ import torch
 from torch import Tensor
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
-from blender_nep.evidence.agreement import majority
+from blender_nep.evidence.agreement import ALIKE, majority, spread
 from blender_nep.evidence.observation import colors_of, observe
 from blender_nep.evidence.occluders import SdfOccluder
 from blender_nep.evidence.sdf_grid import SdfGrid, cell_centers
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.profiling import profiled
-from blender_nep.support.in_photos import REACH
+from blender_nep.support.in_photos import LEAST_CONTRAST, REACH
 from blender_nep.support.plane import Support, ring
 from blender_nep.support.texture import PlaneTexture
 from blender_nep.tone_mapping import inverse_tone_map
@@ -38,6 +38,9 @@ CHROMATICITY = 0.06
 plain color would otherwise be taken for the plane that it hides."""
 BRIGHTER = 1.5
 """A known color is at most so many times brighter than the plane beside the object. It may be darker: shadows."""
+_SPREADS, _MOST_APART = 2.5, 0.12
+"""Photos agree if they differ by less than this many times the usual spread of the plane's colors beside the object, at most
+by _MOST_APART."""
 _TEXELS = 84
 """Texels along each side of the texture, which spans the sphere."""
 _BESIDE, _BESIDE_POINTS = 0.5, 400
@@ -62,7 +65,8 @@ class AgreedColors:
         square = support.square(cell_centers(_TEXELS))
         self._points = torch.from_numpy(square.astype(np.float32)).to(rays.radiance.device)
         self._inside = self._points.norm(dim=-1) < 1
-        self._sure = _surely_plane(self._photos, support, self._points[self._inside])
+        self._apart = _most_apart(self._photos, support)
+        self._sure = _surely_plane(self._photos, support, self._points[self._inside], self._apart)
 
     @profiled("support texture")
     @torch.no_grad()
@@ -73,7 +77,7 @@ class AgreedColors:
         """
         points = self._points[self._inside]
         core = SdfOccluder(SdfGrid(sdf), level=-CORE, first=_FIRST, last=_LAST, steps=_STEPS)
-        found, share, count = majority(colors_of(observe(self._photos, points, occluder=core), len(points)))
+        found, share, count = majority(colors_of(observe(self._photos, points, occluder=core), len(points)), self._apart)
         found = inverse_tone_map(found)
         color, known = torch.zeros_like(self._points), torch.zeros_like(self._inside)
         color[self._inside] = found
@@ -81,17 +85,40 @@ class AgreedColors:
         return PlaneTexture(self._support, 1.0, color, known)
 
 
-def _surely_plane(photos: SmallPhotos, support: Support, inside: Tensor) -> Tensor:
+def _most_apart(photos: SmallPhotos, support: Support) -> float:
+    """How much two photos that agree on a color of the plane may differ: the usual `ALIKE`, or more where photos differ.
+
+    Photos differ by noise, by exposures that are not known exactly, and by the photographer's shadow. How much, the plane
+    beside the object tells. It counts if the plane stands out there.
+    """
+    points = _ring_beside(support).to(photos.photos.device)
+    rise = _rise(support, points)
+    here, below, above = (float(spread(photos.colors(at)).nanmedian()) for at in (points, points - rise, points + rise))
+    if not min(below, above) > LEAST_CONTRAST * here:  # also where photos do not show the ring
+        return ALIKE
+    return min(max(_SPREADS * here, ALIKE), _MOST_APART)
+
+
+def _ring_beside(support: Support) -> Tensor:
+    """Points [_BESIDE_POINTS, 3] of the plane beside the object's sphere."""
+    return torch.from_numpy(ring(support, support.radius, _BESIDE, _BESIDE_POINTS).astype(np.float32))
+
+
+def _rise(support: Support, like: Tensor) -> Tensor:
+    """The way [3] from the plane to what lies REACH above it."""
+    return REACH * torch.as_tensor(np.asarray(support.normal), dtype=like.dtype, device=like.device)
+
+
+def _surely_plane(photos: SmallPhotos, support: Support, inside: Tensor, apart: float) -> Tensor:
     """Colors [m, 3] that the plane surely has: those beside the sphere, and the sharp ones among points [n, 3] inside.
 
     A color is sharp if clearly fewer photos agree on it REACH above and below the plane. That of a plain object is not.
     """
-    around = ring(support, support.radius, _BESIDE, _BESIDE_POINTS).astype(np.float32)
-    color, share, count = majority(photos.colors(torch.from_numpy(around).to(inside.device)))
+    color, share, count = majority(photos.colors(_ring_beside(support).to(inside.device)), apart)
     beside = color[(share > LEAST_SHARE) & (count >= LEAST_VIEWS)]
-    rise = REACH * torch.as_tensor(np.asarray(support.normal), dtype=inside.dtype, device=inside.device)
-    color, share, count = majority(photos.colors(inside))
-    elsewhere = torch.maximum(*(majority(photos.colors(moved)).share for moved in (inside - rise, inside + rise)))
+    rise = _rise(support, inside)
+    color, share, count = majority(photos.colors(inside), apart)
+    elsewhere = torch.maximum(*(majority(photos.colors(moved), apart).share for moved in (inside - rise, inside + rise)))
     sharp = (share > _SHARP_SHARE) & (elsewhere < _SHARP * share) & (count >= LEAST_VIEWS)
     return inverse_tone_map(torch.cat([beside, color[sharp]]))
 

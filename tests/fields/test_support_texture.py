@@ -1,5 +1,7 @@
 """The colors of the support plane in the object's sphere are found, and the object is not taken for the plane."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -48,6 +50,20 @@ def test_known_colors_are_the_tables_and_not_the_balls(table):
     wrong = np.abs(color - true(points)).mean(1)
     # where the ball hides the foot from all photos, it has a color that the patterned table has elsewhere
     assert np.median(wrong[known]) < 0.01 and (wrong[known] > 0.05).mean() < 0.05
+
+
+def test_colors_are_known_where_exposures_differ(tmp_path):
+    """A shadow, noise, or exposures that are not known exactly: the table beside the ball tells how much photos differ."""
+    folder = write_table_scene(tmp_path / "capture")
+    rays = PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu"))
+    random = torch.Generator().manual_seed(0)
+    gain = (0.18 * torch.randn(rays.views, generator=random)).exp()
+    noise = 1 + 0.1 * torch.randn(rays.radiance.shape, generator=random)
+    rays = replace(rays, radiance=rays.radiance * gain[rays.view_of(torch.arange(rays.count))][:, None] * noise)
+    points, color, known = texels(AgreedColors(rays, PLANE).texture(BALL_SDF))
+    beside = (np.hypot(*(points - CENTER)[:, :2].T) > BALL) & (np.linalg.norm(points, axis=1) < 0.97)
+    assert known[beside].mean() > 0.9
+    assert np.median(np.abs(color - pattern(points)).mean(1)[known & beside]) < 0.04
 
 
 def test_rays_that_meet_the_plane_in_the_sphere_show_the_colors(table):

@@ -266,7 +266,7 @@ def test_tarnish_varies_within_places_of_metal(ball):
         albedo = metal * bright * torch.tensor([0.9, 0.7, 0.4]) + (1 - metal) * torch.tensor([0.1, 0.15, 0.5])
         return albedo, 0.2 + 0.1 * (1 - metal[:, 0]), metal[:, 0]
 
-    unclear = replace(MORE, unclear_classes=0.0, varied_gain=9.0, varied_gain_of_unclear=-9.0)
+    unclear = replace(MORE, unclear_classes=0.0, varied_gain=9.0, varied_gain_of_both=-9.0)
     found = learn(ball, make_photos(tarnished), unclear)
     assert found.report["segments"] > 50 and found.report["varied_gain"] < unclear.varied_gain
     face, barycentric = rasterize(ball.uv, ball.faces, len(found.metallic))
@@ -293,3 +293,28 @@ def test_tarnish_varies_on_an_object_of_metal(ball):
     assert (found.metallic > 0.99).all()
     few = learn(ball, make_photos(tarnished), FEW)
     assert errors(ball, found, tarnished)[0] < 0.3 * errors(ball, few, tarnished)[0]
+
+
+@pytest.mark.slow
+def test_paints_vary_beside_metal_of_the_palette(ball, photos_of_paints, monkeypatch):
+    """Below the gain from which segments tell their classes, the palette and edges of color tell them."""
+    searches, found = [], varied_learning.VariedLearning.found
+
+    def noted(self, search, palette, unseen_learned):
+        searches.append((search, palette))
+        return found(self, search, palette, unseen_learned)
+
+    monkeypatch.setattr(varied_learning.VariedLearning, "found", noted)
+    few = errors(ball, learn(ball, photos_of_paints, FEW), many_paints)
+    varied = learn(ball, photos_of_paints, replace(MORE, varied_gain=9.0))
+    more = errors(ball, varied, many_paints)
+    assert varied.report["segments"] > 50 and varied.report["varied_gain"] >= MORE.varied_gain_of_both
+    assert more[0] < 0.6 * few[0] and more[2] < 0.03
+    search, palette = searches[0]
+    held_out = torch.from_numpy(np.random.default_rng(0).random(len(palette.label)) < 0.25)
+    wrong = replace(palette, label=torch.where(held_out, (palette.label + 1) % len(palette.palette), palette.label))
+    one, other = (search.labels_by_others(at, held_out) for at in (palette, wrong))
+    assert torch.equal(one, other), "their own labels do not count"
+    assert torch.equal(one[~held_out], palette.label[~held_out])
+    metal = palette.palette.metallic > 0.5
+    assert (metal[one] == metal[palette.label]).float().mean() > 0.9

@@ -45,6 +45,8 @@ _MOST_REFITS = 4
 """Largest number of fits to the samples that show one material alone."""
 _LEAST_SURE = 0.1
 """A material is fitted to its sure samples alone if they are this share of its samples."""
+_OTHERS = 8
+"""Samples of other photos around a sample whose material it gets."""
 _SHADES = 2.5
 """Largest albedo of a dielectric until shades of one hue are merged. It is above 1, because F_e may be too dark."""
 
@@ -309,7 +311,7 @@ class PaletteSearch:
         if len(palette) == 1:
             return replace(found, palette=palette, label=torch.zeros_like(found.label), metal=None, doubtful=None)
         costs = self.costs(palette).cpu().numpy()
-        metal = self._places_of_metal(palette, costs)
+        metal = self._places_of_metal(palette, costs, self.preset.unclear_classes)
         with section("votes"):
             votes = self.smoothed(costs)
             label, doubtful = votes.argmin(1), None
@@ -320,11 +322,24 @@ class PaletteSearch:
         own = torch.from_numpy(label).to(self.device)
         return replace(found, palette=palette, label=own, metal=metal, doubtful=doubtful)
 
-    def _places_of_metal(self, palette: Palette, costs: np.ndarray) -> np.ndarray | None:
+    def labels_by_others(self, found: FoundPalette, held_out: Tensor) -> Tensor:
+        """The label [n] of each sample, but those of held_out [n] bool have that of the others around them."""
+        costs, held = self.costs(found.palette).cpu().numpy(), held_out.cpu().numpy()
+        at = Places(self.places.position[held], self.places.normal[held])
+        _, near = neighbors(cKDTree(self.places.position[~held]), at.position, _OTHERS)
+        votes, excluded = costs[~held][near].mean(1), self.excluded(found, at)
+        own = (votes if excluded is None else np.where(excluded, np.inf, votes)).argmin(1)
+        return found.label.index_put((held_out,), torch.from_numpy(own).to(self.device))
+
+    def metal_by_colors(self, palette: Palette) -> np.ndarray | None:
+        """Which samples [n] bool lie on metal, up to edges of color. None if the palette has one class alone."""
+        return self._places_of_metal(palette, self.costs(palette).cpu().numpy(), unclear=0.0)
+
+    def _places_of_metal(self, palette: Palette, costs: np.ndarray, unclear: float) -> np.ndarray | None:
         """Which samples [n] bool lie on metal, by costs [n, K]. None with one class, or if the photos tell both apart."""
         alone = len(palette) - palette.blends
         metallic = palette.metallic[:alone].cpu().numpy()
-        advantage = advantage_of_metal(costs[:, :alone], metallic, self.preset.unclear_classes)
+        advantage = advantage_of_metal(costs[:, :alone], metallic, unclear)
         return None if advantage is None else self.metals.decide(advantage, self.preset.smooth_classes)
 
     def excluded(self, found: FoundPalette, at: Places) -> np.ndarray | None:

@@ -83,11 +83,13 @@ class VariedLearning:
         gain = gain_of_segments(search, palette, segments)
         metal, least = None, p.varied_gain
         if gain < p.varied_gain:
-            # Segments that explain hardly more tell no class, where whole materials do not. But tarnish makes a metal vary.
-            metal = palette.metal
+            # Segments that explain hardly more tell no class. Whole materials and edges of color tell it better.
+            metal = search.metal_by_colors(palette.palette)
             if metal is not None:
-                least = p.varied_gain_of_unclear
-            elif bool((palette.palette.metallic > 0.5).all()):
+                least = p.varied_gain_of_both
+                classes = classes_of_segments(metal, segments).to(self.seen.device)
+                gain = gain_of_segments(search, palette, segments, classes, palette_sees_all=False)
+            elif bool((palette.palette.metallic > 0.5).all()):  # tarnish makes a metal vary
                 metal, least = np.ones(len(palette.label), bool), p.varied_gain_of_metal
                 gain = gain_of_segments(search, palette, segments, torch.ones(len(segments), device=self.seen.device))
         self.report.varied_gain = round(gain, 4)

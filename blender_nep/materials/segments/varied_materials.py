@@ -145,11 +145,19 @@ def classes_of_segments(metal: np.ndarray, segments: Segments) -> Tensor:
     return torch.from_numpy((share > 0.5).astype(np.float32))
 
 
-def gain_of_segments(search: PaletteSearch, found: FoundPalette, segments: Segments, classes: Tensor | None = None) -> float:
+def gain_of_segments(
+    search: PaletteSearch,
+    found: FoundPalette,
+    segments: Segments,
+    classes: Tensor | None = None,
+    palette_sees_all: bool = True,
+) -> float:
     """Share by which the materials of segments lower the residual of the palette `found`, on photos that were held out.
 
-    classes [K] are the metallic values of the segments. None: the photos decide. The palette has seen these photos, so the
-    gain is rather too small than too large. 0 if there are too few photos.
+    classes [K] are the metallic values of the segments. None: the photos decide. If the palette sees all photos, each
+    sample has the material that suits it and its neighbors best, blends among them. Then the gain is rather too small than
+    too large. Else samples of the held-out photos have the material of their neighbors in other photos. 0 if there are too
+    few photos.
     """
     light, p = search.light, search.preset
     label = torch.from_numpy(segments.label).to(search.device)
@@ -157,9 +165,10 @@ def gain_of_segments(search: PaletteSearch, found: FoundPalette, segments: Segme
     if not bool(held_out.any()) or bool(held_out.all()):
         return 0.0
     trained = fit_segments(light, search.target, torch.where(held_out, -1, label), segments, p, classes)
+    own = found.label if palette_sees_all else search.labels_by_others(found, held_out)
     even = torch.ones_like(search.weight)
     of_segments = error(light, search.target, even, trained.at(label), p.clip)[held_out].mean()
-    of_palette = error(light, search.target, even, found.palette.at(found.label), p.clip)[held_out].mean()
+    of_palette = error(light, search.target, even, found.palette.at(own), p.clip)[held_out].mean()
     return float(1 - of_segments / of_palette.clamp_min(1e-9))
 
 
