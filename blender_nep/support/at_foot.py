@@ -37,8 +37,8 @@ them may be small by chance, because few points of the lowest planes are seen.""
 RISE, LEAST_RISE = 0.1, 1.4
 """RISE above the plane, in object radii, the spread must have grown by the factor LEAST_RISE."""
 LEAST_TEXTURE = 0.01
-"""The colors of a support on which photos agree differ at least by this (`_NearFoot.texture`). Measured: 0.044 to 0.10 on tables
-and plates, plain ones among them; 0 in front of black, and at most 0.004 where black is noisy by 0.02."""
+"""The colors of a support on which photos agree differ at least by this (`_NearFoot.texture`). Measured: 0.044 to 0.10 on
+tables and plates, plain ones too; 0 in front of black, and at most 0.004 where black is noisy by 0.02."""
 NEAREST, FARTHEST = 0.03, 0.35
 """Distances from the foot, in object radii, between which points of the plane are compared."""
 LIFT = 0.05
@@ -89,8 +89,8 @@ class _NearFoot:
     def texture(self, height: float) -> float:
         """How much the colors on which the photos agree differ around the foot; NaN where hardly anything is seen.
 
-        It is the range of the middle half of the points' median colors, in the channels' mean. Only the half of the points on
-        which the photos agree best counts. The others may lie on the object, and some of these may, too.
+        It is the range of the middle half of the points' median colors, in the channels' mean. Only the half of the points
+        on which the photos agree best counts. The others may lie on the object, and some of these may, too.
         """
         colors = self._colors(height)
         if colors is None:

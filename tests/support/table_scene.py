@@ -71,8 +71,8 @@ def write_table_scene(
 ) -> Path:
     """Write the capture, turned by `tilt` radians with cameras and all. Returns its folder.
 
-    radius: that of the table, in object radii; 0 for none. backdrop: the radiance of even walls. elevations: those of the rings of cameras, in degrees.
-    photos: how many, on all rings together.
+    radius: that of the table, in object radii; 0 for none. elevations: those of the rings of cameras, in degrees.
+    photos: how many, on all rings together. backdrop: the radiance of even walls.
     """
     (folder / "images").mkdir(parents=True)
     frames = []
