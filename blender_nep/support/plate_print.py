@@ -15,10 +15,10 @@ from torch import Tensor
 
 from blender_nep.evidence.agreement import Majority, majority
 from blender_nep.evidence.observation import colors_of, observe
-from blender_nep.evidence.occluders import SdfOccluder
-from blender_nep.evidence.sdf_grid import SdfGrid, cell_centers
+from blender_nep.evidence.sdf_grid import cell_centers
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.profiling import profiled
+from blender_nep.support.agreed_colors import core_of
 from blender_nep.support.in_photos import REACH
 from blender_nep.support.plane import Support
 from blender_nep.support.texture import PlaneTexture
@@ -31,12 +31,8 @@ LEAST_SHARE, LEAST_VIEWS = 0.2, 8
 low, because what stands on the plate hides it in many photos."""
 SHARP = 0.9
 """... and if at most this share of the share agrees REACH above and below the plane."""
-CORE = 0.05
-"""What lies deeper than this in the shape that is known so far hides the plate, in object radii."""
 _TEXELS = 100
 """Texels along each side of the square"""
-_FIRST, _LAST, _STEPS = 0.03, 1.9, 48
-"""Whether the shape hides a point is asked at so many distances, between these, on the way to the camera."""
 
 
 @profiled("plate print")
@@ -62,5 +58,4 @@ def _agreement(photos: SmallPhotos, sdf: np.ndarray | None) -> Callable[[Tensor]
     """On what the photos agree at points [n, 3]."""
     if sdf is None:
         return lambda points: majority(photos.colors(points))
-    core = SdfOccluder(SdfGrid(sdf), level=-CORE, first=_FIRST, last=_LAST, steps=_STEPS)
-    return lambda points: majority(colors_of(observe(photos, points, occluder=core), len(points)))
+    return lambda points: majority(colors_of(observe(photos, points, occluder=core_of(sdf)), len(points)))
