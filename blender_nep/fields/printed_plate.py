@@ -44,7 +44,7 @@ class PrintedPlate:
 
     @classmethod
     def find(cls, rays: PixelRays, support: Support, differences: list[Tensor], block: int) -> PrintedPlate | None:
-        """The print on a support plane; None for a plain one. Takes 2 CPU seconds.
+        """The print on a support plane; None for a plain one. Takes about a CPU second.
 
         differences: for each view [H / block, W / block], how much its photo differs from what stands still. From 0.5 on, it
         differs.
