@@ -8,6 +8,9 @@ Colors of the object may recur, too, most of all near the axis, where no photo s
 carve a first hull, whose gaps are closed. Then only the photos in which it does not cover a pixel tell the color of the
 surroundings there. A pixel that is always covered counts as the object.
 
+A printed plate turns with the object. So it differs from the surroundings that stand still, and would be taken for a part of
+the object. `printed_plate` takes it out, if the plane of the plate is known.
+
 What looks like the surroundings behind it is missing in a silhouette. A shadow that turns with the object is too much: it
 counts little, because it only darkens the surroundings. The visual hull that all silhouettes carve together evens out both.
 """
@@ -23,8 +26,10 @@ from torch.nn import functional
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.turntable.rows import LEAST_PHOTOS
 from blender_nep.evidence.sdf_grid import SdfGrid
-from blender_nep.fields.visual_hull import carve, score_cells
+from blender_nep.fields.printed_plate import PrintedPlate
+from blender_nep.fields.visual_hull import VisualHull, carve, score_cells
 from blender_nep.profiling import profiled
+from blender_nep.support.plane import Support
 from blender_nep.tone_mapping import inverse_tone_map, tone_map
 
 RECURS = 0.15
@@ -51,10 +56,12 @@ BLOCKS = 100
 """Blocks along the shorter side of a photo, about"""
 SAME_CAMERA = 1e-3
 """Cameras that are nearer to each other in the room, in object radii, and as turns in radians, are one that stands still."""
+_CARVINGS, _LEAST_CARVED = 4, 0.02
+"""On a printed plate, the hull is carved up to so many times more, as long as it loses this share of its volume."""
 _TRIED = 12
 """Photos of a row whose colors are tried as those of the surroundings, at each pixel"""
 _FIRST_CELLS = 48
-"""Cells along each side of the cube in which the first hull is carved"""
+"""Cells along each side of the cube in which the first hulls are carved"""
 _DARK = 0.005
 """Radiance that is added before factors are compared, so that noise in the dark has no hue"""
 _AT_A_TIME = 4096
@@ -63,24 +70,43 @@ _AT_A_TIME = 4096
 
 @profiled("silhouettes")
 @torch.no_grad()
-def still_silhouettes(rays: PixelRays) -> list[Tensor]:
+def still_silhouettes(rays: PixelRays, support: Support | None = None) -> list[Tensor]:
     """For each view [H / b, W / b]: how much its photo differs from the surroundings that stand still, 0 .. 1.
 
     From 0.5 on, it differs. The photos are averaged over blocks of b^2 pixels, so that about BLOCKS are left along the
     shorter side; b is at most 4. Blocks whose rays miss the object's sphere have 0. A photo from whose place fewer than two
-    others were taken does not vote: its map is NaN. Raises ValueError for rays without the motions of a turntable.
+    others were taken does not vote: its map is NaN. support: the plane on which the object stands, if it is known; what is
+    printed on it counts as still. Takes 4 CPU seconds for 60 photos, and 12 on a printed plate. Raises ValueError for rays
+    without the motions of a turntable.
     """
     rows = rows_of(rays)
     block = min(max(1, round(min(min(size) for size in rays.size) / BLOCKS)), 4)
     first = _differences(rays, rows, block, None)
-    filled = [_without_holes(values) for values in first]
+    plate = None if support is None else PrintedPlate.find(rays, support, first, block)
+    maps = first if plate is None else plate.taken_out(first)
+    filled = [_without_holes(values) for values in maps]
     hull = carve(score_cells(rays, filled, _FIRST_CELLS, FIRST_SHARE), on_support=True)
     if hull is None:
-        return first
+        return maps
+    maps = _differences(rays, rows, block, _covered_by(rays, hull, first))
+    if plate is None:
+        return maps
+    for _ in range(_CARVINGS):
+        maps, before = plate.taken_out(maps), hull.volume
+        carved = carve(score_cells(rays, maps, _FIRST_CELLS, LOWEST_SHARE))
+        if carved is None or carved.volume > (1 - _LEAST_CARVED) * before:
+            break
+        hull = carved
+        plate = plate.beside(hull.sdf)
+        maps = _differences(rays, rows, block, _covered_by(rays, hull, first))
+    return plate.taken_out(maps)
+
+
+def _covered_by(rays: PixelRays, hull: VisualHull, maps: list[Tensor]) -> list[Tensor]:
+    """Where each view may show an object with this hull, in blocks like those of the maps."""
     grid = SdfGrid(hull.sdf)
     points = torch.from_numpy(grid.centers_of(grid.solid).astype(np.float32)).to(rays.radiance.device)
-    covered = [_covered(rays, view, points, tuple(values.shape)) for view, values in enumerate(first)]
-    return _differences(rays, rows, block, covered)
+    return [_covered(rays, view, points, tuple(values.shape)) for view, values in enumerate(maps)]
 
 
 def _differences(rays: PixelRays, rows: list[list[int]], block: int, covered: list[Tensor] | None) -> list[Tensor]:

@@ -76,13 +76,18 @@ class AgreedColors:
         sdf [n, n, n]: the object's shape as it is known so far, at the centers of n^3 cells of [-1, 1]^3, negative inside.
         """
         points = self._points[self._inside]
-        core = SdfOccluder(SdfGrid(sdf), level=-CORE, first=_FIRST, last=_LAST, steps=_STEPS)
-        found, share, count = majority(colors_of(observe(self._photos, points, occluder=core), len(points)), self._apart)
+        colors = colors_of(observe(self._photos, points, occluder=core_of(sdf)), len(points))
+        found, share, count = majority(colors, self._apart)
         found = inverse_tone_map(found)
         color, known = torch.zeros_like(self._points), torch.zeros_like(self._inside)
         color[self._inside] = found
         known[self._inside] = (share > LEAST_SHARE) & (count >= LEAST_VIEWS) & _like_the_plane(found, self._sure)
         return PlaneTexture(self._support, 1.0, color, known)
+
+
+def core_of(sdf: np.ndarray) -> SdfOccluder:
+    """The inner part of a shape with the SDF [n, n, n] in the cells of [-1, 1]^3, which hides points of a plane under it."""
+    return SdfOccluder(SdfGrid(sdf), level=-CORE, first=_FIRST, last=_LAST, steps=_STEPS)
 
 
 def _most_apart(photos: SmallPhotos, support: Support) -> float:

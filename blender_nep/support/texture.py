@@ -51,14 +51,21 @@ class PlaneTexture:
     def shown(self, rays: RayBundle, radiance: Tensor) -> Tensor:
         """The radiance [n, 3] of rays [n], where those that meet a known texel in the unit sphere show its color instead of
         `radiance`."""
+        points, color, known = self.met(rays)
+        return torch.where((known & (points.norm(dim=-1) < 1))[:, None], color, radiance)
+
+    def met(self, rays: RayBundle) -> tuple[Tensor, Tensor, Tensor]:
+        """Where rays [n] meet the plane [n, 3], the texture's color there [n, 3], and whether it is a known one [n] bool.
+
+        It is not for rays that come from below.
+        """
         normal = self.axes[0]
         cosine = rays.directions @ normal
         t = (self.support.height - rays.origins @ normal) / cosine.clamp(max=-1e-6)
         points = rays.origins + t[:, None] * rays.directions
         texels = torch.cat([self.color, self.known[..., None].to(self.color.dtype)], -1).permute(2, 0, 1)[None]
         found = functional.grid_sample(texels, self.place(points)[None, :, None], align_corners=False)[0, :, :, 0].T
-        use = (found[:, 3] > 0.99) & (cosine < -1e-6) & (t > 0) & (points.norm(dim=-1) < 1)
-        return torch.where(use[:, None], found[:, :3], radiance)
+        return points, found[:, :3], (found[:, 3] > 0.99) & (cosine < -1e-6) & (t > 0)
 
     def filled(self) -> PlaneTexture:
         """The texture without unknown texels: they get the mean of the known ones around. n is a power of two."""

@@ -37,8 +37,13 @@ def test_a_hull_that_is_a_little_too_large_does_not_matter(tmp_path):
 
 @pytest.mark.parametrize(
     "scene",
-    [{"radius": 0.0}, {"plain": True, "elevations": (-40, 15, 35, 60)}],
-    ids=["no table", "a table that some photos are taken from below"],
+    [
+        {"radius": 0.0},
+        {"radius": 0.0, "backdrop": 0.0},
+        {"radius": 0.0, "backdrop": 1.0},
+        {"plain": True, "elevations": (-40, 15, 35, 60)},
+    ],
+    ids=["no table", "an even black backdrop", "an even white backdrop", "a table that some photos are taken from below"],
 )
 def test_nothing_is_found_where_nothing_can_support_the_object(tmp_path, scene):
     assert support_at_foot(rays_of(write_table_scene(tmp_path / "capture", **scene)), ball()) is None

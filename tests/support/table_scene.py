@@ -41,9 +41,14 @@ def turn(tilt: float) -> np.ndarray:
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
-def colors(origin: np.ndarray, directions: np.ndarray, radius: float, plain: bool, glossy: bool) -> np.ndarray:
-    """What rays from `origin` [3] along directions [n, 3] see: the ball, the round table, or walls far away."""
-    color = 0.3 + 0.2 * np.sin(3 * directions)
+def colors(
+    origin: np.ndarray, directions: np.ndarray, radius: float, plain: bool, glossy: bool, backdrop: float | None
+) -> np.ndarray:
+    """What rays from `origin` [3] along directions [n, 3] see: the ball, the round table, or walls far away.
+
+    backdrop: the walls' radiance, if they are even.
+    """
+    color = 0.3 + 0.2 * np.sin(3 * directions) if backdrop is None else np.full(directions.shape, backdrop)
     points = origin + ((HEIGHT - origin[2]) / np.minimum(directions[:, 2], -1e-6))[:, None] * directions
     met = (directions[:, 2] < 0) & (np.hypot(points[:, 0], points[:, 1]) < radius)
     color[met] = glossy_checkers(points[met], directions[met]) if glossy else (shadow if plain else pattern)(points[met])
@@ -59,6 +64,7 @@ def write_table_scene(
     radius: float = np.inf,
     plain: bool = False,
     glossy: bool = False,
+    backdrop: float | None = None,
     tilt: float = 0.0,
     elevations: tuple[float, ...] = (15, 35, 60),
     photos: int = 24,
@@ -66,12 +72,12 @@ def write_table_scene(
     """Write the capture, turned by `tilt` radians with cameras and all. Returns its folder.
 
     radius: that of the table, in object radii; 0 for none. elevations: those of the rings of cameras, in degrees.
-    photos: how many, on all rings together.
+    photos: how many, on all rings together. backdrop: the radiance of even walls.
     """
     (folder / "images").mkdir(parents=True)
     frames = []
     for k, (position, matrix, directions) in enumerate(camera_ring(photos, elevations, SIZE, FOCAL)):
-        photo = colors(position, directions, radius, plain, glossy)
+        photo = colors(position, directions, radius, plain, glossy, backdrop)
         write_exr(folder / "images" / f"{k}.exr", photo.reshape(SIZE, SIZE, 3))
         matrix[:3] = turn(tilt) @ matrix[:3]
         frames.append({"file_path": f"images/{k}.exr", "transform_matrix": matrix.tolist()})

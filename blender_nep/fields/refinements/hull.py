@@ -68,7 +68,8 @@ def background_scores(stage: StageOne) -> np.ndarray:
     scores are computed once before the first step of both fields.
     """
     if stage.cell_scores is None and stage.rays.turntable is not None:
-        stage.cell_scores = score_cells(stage.rays, still_silhouettes(stage.rays), stage.cells, LOWEST_SHARE)
+        silhouettes = still_silhouettes(stage.rays, stage.scene.support)
+        stage.cell_scores = score_cells(stage.rays, silhouettes, stage.cells, LOWEST_SHARE)
     if stage.cell_scores is None:
         stage.cell_scores = _scores(stage, stage.environment_alone)
     return stage.cell_scores
