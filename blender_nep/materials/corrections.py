@@ -9,6 +9,7 @@ segments, so its segments are put into groups of similar materials, and each gro
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
@@ -201,13 +202,15 @@ class CorrectableSegments:
         if bool(changed.any()):
             label = torch.from_numpy(self.varied.segments.label).to(learned.metallic.device)
             classes = torch.where(other, metallic, learned.metallic)
-            fitted = fit_segments(self.light, self.target, label, self.varied.segments, preset, classes, roughness)
+            fitted = fit_segments(
+                self.light, self.target, label, self.varied.segments, preset, classes, roughness, self.varied.shift
+            )
             palette = Palette(
                 torch.where(changed[:, None], fitted.albedo, learned.albedo),
                 torch.where(changed, fitted.roughness, learned.roughness),
                 classes,
             )
-        return replace(self, varied=VariedMaterials(self.varied.segments, palette, exact.cpu().numpy(), learned))
+        return replace(self, varied=replace(self.varied, palette=palette, exact=exact.cpu().numpy(), learned=learned))
 
     def listed(self) -> list[ListedMaterial]:
         p, count = self.varied.palette, np.bincount(self.varied.segments.label, minlength=len(self.group)).astype(np.float64)
@@ -225,12 +228,15 @@ class CorrectableSegments:
     def state(self) -> dict:
         palette = {name: getattr(self.varied.palette, name) for name in _MATERIAL}
         own = {"target": self.target, "group": self.group, "palette": palette, "segments": vars(self.varied.segments)}
-        return {**own, "light": self.light.moments_state(), "pixels": vars(self.pixels)}
+        return {**own, "shift": self.varied.shift, "light": self.light.moments_state(), "pixels": vars(self.pixels)}
 
     @classmethod
     def from_state(cls, state: dict) -> CorrectableSegments:
         """The inverse of `state`."""
-        varied = VariedMaterials(Segments(**state["segments"]), Palette(**state["palette"]))
+        shift = float(state.get("shift", 0.0))  # jobs of older versions have none
+        if not math.isfinite(shift):
+            raise ValueError(f"dielectrics are moved by {shift} places")
+        varied = VariedMaterials(Segments(**state["segments"]), Palette(**state["palette"]), shift)
         light, pixels = LightMoments(**state["light"]), PlacedPixels(**state["pixels"])
         samples, segments = light.check(), _check_palette(varied.palette)
         check_array("target", state["target"], (samples, 3))

@@ -131,7 +131,7 @@ class MaterialPreset:
     varied_gain: float = 0.25
     """Materials may vary from place to place if that lowers the residual of held-out photos by this share. inf: never.
     Measured: 0.34 to 0.55 for a vase in forty paints; -0.20 to 0.16 for seven objects that a palette explains."""
-    varied_gain_of_both: float = 0.1
+    varied_gain_of_both: float = 0.06
     """The same below `varied_gain` where the palette has metals and dielectrics. Then the palette and edges of color decide
     which places are metal, and it is compared as places see it that it was not fitted to. Measured: 0.17 for a photographed
     tarnished brass, 0.14 for brass, plastic and wood; 0 for a box in metal and paint and for a gradual patina."""

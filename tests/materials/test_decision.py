@@ -7,8 +7,16 @@ import pytest
 import torch
 
 from blender_nep.materials.evidence import decision
-from blender_nep.materials.evidence.decision import ALL, Account, decide_metallic, decide_roughness
+from blender_nep.materials.evidence.decision import (
+    ALL,
+    Account,
+    decide_metallic,
+    decide_roughness,
+    decide_segments,
+    shift_of_dielectrics,
+)
 from blender_nep.materials.evidence.protocol import Evidence, FittedMaterials, OfMetallic, OfRoughness
+from blender_nep.materials.evidence.residual import SegmentResidual
 from blender_nep.materials.fitting import roughness_at, roughness_scan
 from blender_nep.messages import Message
 from blender_nep.presets import EVIDENCE, MaterialPreset
@@ -176,3 +184,32 @@ def test_evidence_that_is_switched_off_is_not_asked(ball, photos, off, monkeypat
     report = learn(ball, photos[1.0 if off.name == "spread" else 0.0], preset).report["evidence"]
     assert report[off.name]["skipped"]["code"] == "reason.preset"
     assert sum("acted" in entry for entry in report.values()) >= 1
+
+
+def test_the_third_moment_moves_the_dielectrics_of_segments():
+    """By the steps of the scan between both roughness values: the mean over the paints, weighted by their shares."""
+    preset = MaterialPreset()
+    values = roughness_scan(preset.least_roughness, torch.device("cpu")).tolist()
+
+    def said(residual: int, moment: int | None) -> dict:
+        told = {"residual": {"other_class": 0.2, "roughness": values[residual]}}
+        return told if moment is None else told | {"third_moment": {"roughness": values[moment]}}
+
+    account = Account((said(20, 15), said(9, None), said(12, 11)))
+    shift = shift_of_dielectrics(account, (0.3, 0.4, 0.1, 0.2), preset)  # the last share is that of a blend
+    assert shift == pytest.approx((0.3 * (15 - 20) + 0.1 * (11 - 12)) / 0.4, abs=1e-3)
+    assert shift_of_dielectrics(Account((said(9, None),)), (1.0,), preset) == 0
+    assert shift_of_dielectrics(Account(), (), preset) == 0
+
+
+def test_only_dielectrics_are_moved_and_stay_in_the_scan():
+    """Three segments far apart, each with a parabola of residuals: a metal, a paint, and a paint at the sharp end."""
+    least, count = np.array([12, 20, 1]), len(ROW)
+    cost = np.broadcast_to(0.1 + 1e-4 * (np.arange(count)[:, None] - least) ** 2, (2, count, 3)).astype(np.float32)
+    index = np.tile(np.arange(3)[:, None], 64)
+    residual = SegmentResidual(cost, np.ones(3), np.full(index.shape, 0.0), index)
+    preset, chosen = replace(MaterialPreset(), segment_prior=0.0), np.array([1, 0, 0])
+    _, place = decide_segments(residual, preset, (0.0, 1.0), chosen, shift=-5.0)
+    np.testing.assert_allclose(place.numpy(), [12, 15, 0], atol=0.02)
+    _, place = decide_segments(residual, preset, (0.0, 1.0), chosen)
+    np.testing.assert_allclose(place.numpy(), least, atol=0.02)

@@ -200,6 +200,9 @@ def test_a_thin_outline_gets_its_own_segments_by_color():
 
 def test_what_is_kept_of_segments_survives_the_disk(ball, varied, tmp_path):
     check_kept(varied.kept, ball, tmp_path / "kept.pt", MORE)
+    segments = varied.kept.materials
+    moved = replace(varied.kept, materials=replace(segments, varied=replace(segments.varied, shift=-2.0)))
+    assert KeptMaterials.from_state(moved.state()).materials.varied.shift == -2.0
 
 
 def test_segments_are_listed_in_few_groups_of_one_class(varied):

@@ -12,7 +12,9 @@ residual of the channel gives a range, and the third moment decides. Colored pai
 the others the residual of their reflections decides, and those that the photos hardly tell apart share one: a bright glaze
 hides its reflections in the light from below, and a dark one shows them.
 
-**Materials that vary** have the residual alone.
+**Materials that vary** have the residual of their segments. If shape or light is a little wrong, highlights are not
+where they are predicted, and the residual makes paints too dull. The third moment tells so of the palette's dielectrics. It
+moves those of the segments as far (`shift_of_dielectrics`).
 
 Evidence that the preset leaves out (`preset.without`) is not asked. If nothing says anything of a material's roughness, the
 material keeps that of its fit.
@@ -34,7 +36,7 @@ from blender_nep.materials.evidence.protocol import Evidence, FittedMaterials, O
 from blender_nep.materials.evidence.residual import Residual, SegmentResidual
 from blender_nep.materials.evidence.spread import Spread
 from blender_nep.materials.evidence.third_moment import ThirdMoment
-from blender_nep.materials.fitting import place_of_least, roughness_at
+from blender_nep.materials.fitting import place_in_scan, place_of_least, roughness_at
 from blender_nep.messages import Message
 
 if TYPE_CHECKING:
@@ -183,16 +185,38 @@ def _place_of_metal(residual: OfRoughness | None, spread: OfRoughness | None, fi
 
 
 def decide_segments(
-    residual: SegmentResidual, preset: MaterialPreset, classes: tuple[float, ...], chosen: np.ndarray | None
+    residual: SegmentResidual,
+    preset: MaterialPreset,
+    classes: tuple[float, ...],
+    chosen: np.ndarray | None,
+    shift: float = 0.0,
 ) -> tuple[np.ndarray, Tensor]:
     """The class of each of K segments, an index [K] into `classes`, and its roughness, a place [K] in `roughness_scan`.
 
-    `chosen` [K] are the classes, where they are known.
+    `chosen` [K] are the classes, where they are known. shift: that of the dielectrics (`shift_of_dielectrics`).
     """
     if chosen is None:
         chosen = residual.of_metallic(np.array([1 + preset.segment_metal_margin * m for m in classes])).argmin(0)
     cost = residual.of_roughness(chosen, preset.segment_prior)
-    return chosen, place_of_least(torch.from_numpy(cost.T.astype(np.float32)))
+    place = place_of_least(torch.from_numpy(cost.T.astype(np.float32)))
+    dielectric = torch.tensor(classes)[torch.from_numpy(chosen)] < 0.5
+    return chosen, torch.where(dielectric, place + shift, place).clamp(0, cost.shape[1] - 1)
+
+
+def shift_of_dielectrics(account: Account, shares: Sequence[float], preset: MaterialPreset) -> float:
+    """How far the third moment moves a palette's dielectrics from where their residual is least, in `roughness_scan`.
+
+    The mean over the materials of which it says something, with their shares [K] as weights. 0 if it says nothing.
+    """
+    moved, weight = [], []
+    for told, share in zip(account.told, shares, strict=False):  # blends have a share, and nothing was told of them
+        of_residual, of_moment = told.get(Residual.name, {}), told.get(ThirdMoment.name, {})
+        if "roughness" in of_residual and "roughness" in of_moment:
+            both = torch.tensor([of_residual["roughness"], of_moment["roughness"]])
+            before, after = place_in_scan(both, preset.least_roughness).tolist()
+            moved.append(after - before)
+            weight.append(share)
+    return float(np.average(moved, weights=weight)) if sum(weight) > 0 else 0.0
 
 
 def factors_of_change(change: float, metal_by_hue: float, preset: MaterialPreset) -> tuple[float, float]:

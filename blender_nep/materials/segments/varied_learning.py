@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from blender_nep.materials.baking import Places
+from blender_nep.materials.evidence.decision import shift_of_dielectrics
 from blender_nep.materials.evidence.residual import Residual
 from blender_nep.materials.labels.labeled_points import select_label_pixels, surfels
 from blender_nep.materials.samples.light_gathering import with_more_samples
@@ -87,8 +88,8 @@ class VariedLearning:
             metal = search.metal_by_colors(palette.palette)
             if metal is not None:
                 least = p.varied_gain_of_both
-                classes = classes_of_segments(metal, segments).to(self.seen.device)
-                gain = gain_of_segments(search, palette, segments, classes, palette_sees_all=False)
+                of_palette = classes_of_segments(metal, segments).to(self.seen.device)
+                gain = gain_of_segments(search, palette, segments, of_palette, palette_sees_all=False)
             elif bool((palette.palette.metallic > 0.5).all()):  # tarnish makes a metal vary
                 metal, least = np.ones(len(palette.label), bool), p.varied_gain_of_metal
                 gain = gain_of_segments(search, palette, segments, torch.ones(len(segments), device=self.seen.device))
@@ -115,9 +116,10 @@ class VariedLearning:
             search = search.under(search.light.with_unseen(search.light.unseen.scaled(gain)))
             lit = lit.with_unseen(gain)
         self.report.samples = len(lit.samples)
-        fitted = fit_segments(lit.light, lit.samples.radiance, label, segments, p, classes)
+        shift = shift_of_dielectrics(palette.account, palette.shares().tolist(), p)
+        fitted = fit_segments(lit.light, lit.samples.radiance, label, segments, p, classes, shift=shift)
         self.report.tell_segments(fitted)
-        return FoundVaried(VariedMaterials(segments, fitted), lit, pixels, search)
+        return FoundVaried(VariedMaterials(segments, fitted, shift), lit, pixels, search)
 
     def _label_pixels(self) -> PhotoSamples:
         seen, preset = self.seen, replace(self.preset, label_pixels=PIXELS_OF_VARIED * self.preset.label_pixels)

@@ -75,6 +75,8 @@ class VariedMaterials:
     segments: Segments
     palette: Palette
     """The material of each segment"""
+    shift: float = 0.0
+    """By how much the dielectrics are moved from where their residual is least (`fit_segments`)"""
     exact: np.ndarray | None = None
     """[K] bool: segments whose roughness an artist has set, so that it is not interpolated. None: no segment"""
     learned: Palette | None = None
@@ -181,11 +183,13 @@ def fit_segments(
     preset: MaterialPreset,
     metallic: Tensor | None = None,
     roughness: Tensor | None = None,
+    shift: float = 0.0,
 ) -> Palette:
     """The material of each of K segments. label [n] int64 is that of the samples, -1 for those that do not count.
 
     metallic [K] are the classes, if they are known. Else the photos decide between those of the preset. roughness [K] are
-    values that are given; NaN, and None for all of them, where the photos decide.
+    values that are given; NaN, and None for all of them, where the photos decide. shift: what the evidence moves the
+    dielectrics by (`evidence.decision.shift_of_dielectrics`).
 
     The residuals of near segments decide (`SegmentResidual`). Segments whose samples do not count get the roughness and the
     class of their neighbors, and no sensible albedo.
@@ -207,7 +211,7 @@ def fit_segments(
     scan, cost = roughness_scan(p.least_roughness, light.cos_v.device), residual.cpu().numpy()
     near = segments.near(segments.center, NEAR_SEGMENTS)
     known = None if metallic is None else (metallic > 0.5).long().cpu().numpy()
-    chosen, place = decide_segments(SegmentResidual(cost, mass, *near), p, classes, known)
+    chosen, place = decide_segments(SegmentResidual(cost, mass, *near), p, classes, known, shift)
     each, place = np.arange(count), place.to(residual)
     found = between(scan.sqrt()[:, None].expand(-1, count), place) ** 2
     if roughness is not None:
