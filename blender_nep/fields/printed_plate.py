@@ -51,11 +51,19 @@ class PrintedPlate:
         """
         photos = SmallPhotos(rays)
         plate = cls(rays, photos, plate_print(photos, support), block)
-        shown = [off < ALIKE for off in plate.off_print()]
+        shown = [(off < ALIKE) & voting for off, voting in zip(plate.off_print(), plate.voting(differences), strict=True)]
         blocks = int(sum(part.sum() for part in shown))
         turning = int(sum(((values >= 0.5) & part).sum() for values, part in zip(differences, shown, strict=True)))
         printed = blocks >= LEAST_BLOCKS * rays.views and turning > PRINTED * blocks
         return plate if printed else None
+
+    def voting(self, differences: list[Tensor]) -> list[Tensor]:
+        """For each view [H / block, W / block] bool: the blocks near the sphere of views whose differences are known.
+
+        Beside the sphere, differences are not looked for.
+        """
+        maps = background_silhouettes(lambda rays: torch.full_like(rays.directions, torch.nan), self.rays, self.block)
+        return [value.isnan() & own.isfinite() for value, own in zip(maps, differences, strict=True)]
 
     def beside(self, sdf: np.ndarray) -> PrintedPlate:
         """The same plate, of which more is known: an object with the SDF [n, n, n] hides it where it does not count.

@@ -233,7 +233,7 @@ class CorrectableSegments:
     @classmethod
     def from_state(cls, state: dict) -> CorrectableSegments:
         """The inverse of `state`."""
-        shift = float(state.get("shift", 0.0))  # jobs of older versions have none
+        shift = float(state.get("shift", 0.0))  # older jobs of this format have none
         if not math.isfinite(shift):
             raise ValueError(f"dielectrics are moved by {shift} places")
         varied = VariedMaterials(Segments(**state["segments"]), Palette(**state["palette"]), shift)

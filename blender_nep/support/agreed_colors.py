@@ -99,7 +99,8 @@ def _most_apart(photos: SmallPhotos, support: Support) -> float:
     points = _ring_beside(support).to(photos.photos.device)
     rise = _rise(support, points)
     here, below, above = (float(spread(photos.colors(at)).nanmedian()) for at in (points, points - rise, points + rise))
-    if not min(below, above) > LEAST_CONTRAST * here:  # also where photos do not show the ring
+    stands_out = below > LEAST_CONTRAST * here and above > LEAST_CONTRAST * here  # False where photos do not show the ring
+    if not stands_out:
         return ALIKE
     return min(max(_SPREADS * here, ALIKE), _MOST_APART)
 

@@ -315,9 +315,13 @@ def test_paints_vary_beside_metal_of_the_palette(ball, photos_of_paints, monkeyp
     assert more[0] < 0.6 * few[0] and more[2] < 0.03
     search, palette = searches[0]
     held_out = torch.from_numpy(np.random.default_rng(0).random(len(palette.label)) < 0.25)
-    wrong = replace(palette, label=torch.where(held_out, (palette.label + 1) % len(palette.palette), palette.label))
-    one, other = (search.labels_by_others(at, held_out) for at in (palette, wrong))
-    assert torch.equal(one, other), "their own labels do not count"
+    free = replace(palette, metal=None)
+    black = replace(search.samples, radiance=torch.where(held_out[:, None], 0.0, search.samples.radiance))
+    one, other = (at.labels_by_others(free, held_out) for at in (search, replace(search, samples=black)))
+    assert torch.equal(one, other), "what the photos show of themselves does not count"
     assert torch.equal(one[~held_out], palette.label[~held_out])
     metal = palette.palette.metallic > 0.5
     assert (metal[one] == metal[palette.label]).float().mean() > 0.9
+    assert search.metal_by_colors(palette.palette) is not None
+    alone = replace(search, preset=replace(search.preset, unclear_classes=math.inf))
+    assert alone.metal_by_colors(palette.palette) is None

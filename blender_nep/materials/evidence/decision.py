@@ -40,6 +40,7 @@ from blender_nep.materials.fitting import place_in_scan, place_of_least, roughne
 from blender_nep.messages import Message
 
 if TYPE_CHECKING:
+    from blender_nep.materials.palette.palette import Palette
     from blender_nep.presets import MaterialPreset
 
 ALL: tuple[Evidence, ...] = (Residual(), Spread(), Hue(), ThirdMoment())
@@ -203,19 +204,23 @@ def decide_segments(
     return chosen, torch.where(dielectric, place + shift, place).clamp(0, cost.shape[1] - 1)
 
 
-def shift_of_dielectrics(account: Account, shares: Sequence[float], preset: MaterialPreset) -> float:
+def shift_of_dielectrics(account: Account, palette: Palette, shares: Sequence[float], preset: MaterialPreset) -> float:
     """How far the third moment moves a palette's dielectrics from where their residual is least, in `roughness_scan`.
 
-    The mean over the materials of which it says something, with their shares [K] as weights. 0 if it says nothing.
+    The mean over all dielectrics, with their shares as weights. Those of which it says nothing are not moved. The palette
+    may have blends, of which nothing was told; they do not count.
     """
     moved, weight = [], []
-    for told, share in zip(account.told, shares, strict=False):  # blends have a share, and nothing was told of them
-        of_residual, of_moment = told.get(Residual.name, {}), told.get(ThirdMoment.name, {})
-        if "roughness" in of_residual and "roughness" in of_moment:
-            both = torch.tensor([of_residual["roughness"], of_moment["roughness"]])
-            before, after = place_in_scan(both, preset.least_roughness).tolist()
-            moved.append(after - before)
-            weight.append(share)
+    for k, told in enumerate(account.told):
+        if float(palette.metallic[k]) > 0.5:
+            continue
+        before, after = told.get(Residual.name, {}).get("roughness"), float(palette.roughness[k])
+        steps = 0.0
+        if before is not None and "roughness" in told.get(ThirdMoment.name, {}):
+            places = place_in_scan(torch.tensor([before, after]), preset.least_roughness).tolist()
+            steps = places[1] - places[0]
+        moved.append(steps)
+        weight.append(shares[k])
     return float(np.average(moved, weights=weight)) if sum(weight) > 0 else 0.0
 
 

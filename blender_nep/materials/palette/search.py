@@ -7,6 +7,7 @@ merged into one material. A material that blends of others explain as well is dr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -325,14 +326,19 @@ class PaletteSearch:
     def labels_by_others(self, found: FoundPalette, held_out: Tensor) -> Tensor:
         """The label [n] of each sample, but those of held_out [n] bool have that of the others around them."""
         costs, held = self.costs(found.palette).cpu().numpy(), held_out.cpu().numpy()
-        at = Places(self.places.position[held], self.places.normal[held])
-        _, near = neighbors(cKDTree(self.places.position[~held]), at.position, _OTHERS)
+        at, others = (Places(self.places.position[rows], self.places.normal[rows]) for rows in (held, ~held))
+        _, near = on_same_side(neighbors(cKDTree(others.position), at.position, _OTHERS), at, others)
         votes, excluded = costs[~held][near].mean(1), self.excluded(found, at)
         own = (votes if excluded is None else np.where(excluded, np.inf, votes)).argmin(1)
         return found.label.index_put((held_out,), torch.from_numpy(own).to(self.device))
 
     def metal_by_colors(self, palette: Palette) -> np.ndarray | None:
-        """Which samples [n] bool lie on metal, up to edges of color. None if the palette has one class alone."""
+        """Which samples [n] bool lie on metal, up to edges of color.
+
+        None if the palette has one class alone, or if each place decides alone (`preset.unclear_classes`).
+        """
+        if math.isinf(self.preset.unclear_classes):
+            return None
         return self._places_of_metal(palette, self.costs(palette).cpu().numpy(), unclear=0.0)
 
     def _places_of_metal(self, palette: Palette, costs: np.ndarray, unclear: float) -> np.ndarray | None:

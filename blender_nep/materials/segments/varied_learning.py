@@ -116,7 +116,7 @@ class VariedLearning:
             search = search.under(search.light.with_unseen(search.light.unseen.scaled(gain)))
             lit = lit.with_unseen(gain)
         self.report.samples = len(lit.samples)
-        shift = shift_of_dielectrics(palette.account, palette.shares().tolist(), p)
+        shift = shift_of_dielectrics(palette.account, palette.palette, palette.shares().tolist(), p)
         fitted = fit_segments(lit.light, lit.samples.radiance, label, segments, p, classes, shift=shift)
         self.report.tell_segments(fitted)
         return FoundVaried(VariedMaterials(segments, fitted, shift), lit, pixels, search)
