@@ -55,7 +55,8 @@ def learn_unseen_light(
 
     Material and light cannot be found one after the other: a gold thing in white light looks much like a yellow pot in
     yellow light, and a sharp lamp in a rough surface looks like a soft lamp in a smooth surface. So each material is tried
-    as in `swapped`, where metals and dielectrics are swapped (None: the classes are known). Then its roughness is lowered
+    as in `swapped`, where metals and dielectrics are swapped (None: the classes are known). If the object turned, all
+    materials are tried together first, as dielectrics and as metals. Then the roughness of each is lowered
     or raised by a quarter, as long as that helps, at most `most_trials` times. The light is learned anew in each trial, and
     after_trial() is called. `preset.metal_margin` and what the hues of each material say, metal_by_hue [K] in -1..1, favor
     one of the classes. In the end, metals that are darker than is likely become brighter, and the light dimmer, as far as
@@ -80,8 +81,11 @@ def learn_unseen_light(
 
     best, margins = solve(palette, preset.unseen_steps, start), []
     if swapped is not None:
+        kinds = {metallic: _of_one_class(palette, swapped, metallic) for metallic in preset.metallic}
+        if light.points.motion is not None and len(palette) > 1:
+            best, palette = _with_one_class(problem, best, palette, [*kinds.values()], start, preset)
         for k in range(len(palette)):
-            other = palette.with_one(k, swapped)
+            other = palette.with_one(k, next(kinds[m] for m in kinds if m != float(palette.metallic[k])))
             fit = solve(other, preset.unseen_steps, start)
             change = float(other.metallic[k] - palette.metallic[k])
             prior, by_hue = factors_of_change(change, float(metal_by_hue[k]), preset)
@@ -106,6 +110,36 @@ def learn_unseen_light(
     if preset.metals_are_bright > 0:
         best = _with_likely_metals(problem, best, palette, preset, after_trial)
     return best.light, Palette(best.albedo, palette.roughness, palette.metallic), margins
+
+
+def _of_one_class(palette: Palette, swapped: Palette, metallic: float) -> Palette:
+    """The palette with all materials of one class: those of another class are taken from `swapped`."""
+    for k in (swapped.metallic == metallic).nonzero().squeeze(-1).tolist():
+        palette = palette.with_one(k, swapped)
+    return palette
+
+
+def _with_one_class(
+    problem: UnseenLightProblem,
+    best: UnseenFit,
+    palette: Palette,
+    kinds: list[Palette],
+    start: UnseenLight,
+    preset: MaterialPreset,
+) -> tuple[UnseenFit, Palette]:
+    """The fit and the palette, or those of `kinds`, where all materials have one class, if these explain more.
+
+    If the object turned, nearly all of the light is known by reflections alone. A light that suits one metal makes metals of
+    all paints beside it. So changing one material alone does not lead from two metals to two paints.
+    """
+    for other in kinds:
+        change = other.metallic - palette.metallic
+        if not change.any():
+            continue
+        fit = problem.solve(other, start, preset.unseen_steps)
+        if factors_of_change(float(change.mean()), 0.0, preset)[0] * fit.error < best.error:
+            best, palette = fit, other
+    return best, palette
 
 
 def _with_likely_metals(

@@ -1,6 +1,7 @@
 """Light that no photo shows, where the object turned: how far away it is, and who judges its fits."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,15 @@ import torch
 import trimesh
 
 from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.materials import unseen_light_training
 from blender_nep.materials.palette.palette import Palette
-from blender_nep.materials.unseen_light_training import UnseenLightProblem, judged_problem, likely_radius
+from blender_nep.materials.unseen_light_training import (
+    UnseenFit,
+    UnseenLightProblem,
+    judged_problem,
+    learn_unseen_light,
+    likely_radius,
+)
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import PlenopticFunction, PlenopticSettings, TerminalRadiance, reflected
@@ -88,3 +96,36 @@ def test_before_anything_is_known_the_light_is_gray() -> None:
     gray = light.grayed()
     assert torch.equal(gray.radiance, expected.mean().expand(8, 16, 3)) and torch.equal(gray.expected, gray.radiance)
     assert gray.radius == light.radius and torch.equal(gray.missing, light.missing)
+
+
+@pytest.mark.parametrize("turned", [True, False])
+@pytest.mark.parametrize("begin", [(0.0, 1.0), (1.0, 1.0), (1.0, 0.0)])
+def test_two_paints_are_found_together_on_a_turntable(monkeypatch, turned: bool, begin: tuple[float, float]) -> None:
+    errors = {(0.0, 1.0): 0.0499, (1.0, 1.0): 0.0472, (1.0, 0.0): 0.0480, (0.0, 0.0): 0.0353}
+
+    class Measured(UnseenLightProblem):
+        """Its errors are given: a light that suits two metals suits neither paint beside a metal."""
+
+        def __init__(self, *_: object) -> None:
+            self.label = torch.tensor([0, 1])
+
+        def solve(self, palette: Palette, start: UnseenLight, *_: object) -> UnseenFit:
+            first, second = palette.metallic.tolist()
+            return UnseenFit(start, palette.albedo, errors[first, second])
+
+    monkeypatch.setattr(unseen_light_training, "UnseenLightProblem", Measured)
+    monkeypatch.setattr(unseen_light_training, "_unexplained_samples", lambda *_: torch.arange(8))
+    metallic = torch.tensor(begin)
+    palette = Palette(torch.full((2, 3), 0.5), torch.full((2,), 0.2), metallic)
+    swapped = replace(palette, metallic=1 - metallic, roughness=torch.full((2,), 0.3))
+    light = SimpleNamespace(
+        unseen=UnseenLight.uniform(8, 3.0, "cpu"), points=SimpleNamespace(motion=object() if turned else None)
+    )
+    preset = replace(PRESET, unseen_roughness_factors=(), metals_are_bright=0.0)
+    told, generator = torch.zeros(2), torch.Generator()
+    found = learn_unseen_light(light, palette, swapped, LABEL, LABEL, told, 0, preset, generator, lambda: None)[1]
+    both_paints = turned or begin == (1.0, 0.0)
+    assert found.metallic.tolist() == ([0.0, 0.0] if both_paints else [1.0, 1.0])
+    assert found.roughness.tolist() == pytest.approx(
+        [0.3 if b != f else 0.2 for b, f in zip(begin, found.metallic, strict=True)]
+    )
