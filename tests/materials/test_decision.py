@@ -18,7 +18,6 @@ from blender_nep.materials.evidence.decision import (
 from blender_nep.materials.evidence.protocol import Evidence, FittedMaterials, OfMetallic, OfRoughness
 from blender_nep.materials.evidence.residual import SegmentResidual
 from blender_nep.materials.fitting import roughness_at, roughness_scan
-from blender_nep.materials.palette.palette import Palette
 from blender_nep.messages import Message
 from blender_nep.presets import EVIDENCE, MaterialPreset
 from support.lit_ball import PRESET, constant, learn, make_photos
@@ -198,13 +197,13 @@ def test_the_third_moment_moves_the_dielectrics_of_segments():
 
     account = Account((said(20, 15), said(9, None), said(12, 11), said(14, 3)))
     metallic = torch.tensor([0.0, 0.0, 0.0, 1.0, 0.5])  # the last one is a blend, of which nothing is told
-    palette = Palette(torch.zeros(5, 3), torch.tensor([values[k] for k in (15, 9, 11, 3, 8)]), metallic)
+    roughness = torch.tensor([values[k] for k in (15, 9, 11, 3, 8)])
     shares = (0.3, 0.2, 0.1, 0.3, 0.1)
     wanted = (0.3 * (15 - 20) + 0.1 * (11 - 12)) / 0.6
-    assert shift_of_dielectrics(account, palette, shares, preset) == pytest.approx(wanted, abs=1e-3)
-    unmoved = replace(palette, roughness=torch.tensor([values[k] for k in (20, 9, 12, 3, 8)]))
-    assert shift_of_dielectrics(account, unmoved, shares, preset) == pytest.approx(0, abs=1e-3), "an older account"
-    assert shift_of_dielectrics(Account(), palette, shares, preset) == 0
+    assert shift_of_dielectrics(account, roughness, metallic, shares, preset) == pytest.approx(wanted, abs=1e-3)
+    unmoved = torch.tensor([values[k] for k in (20, 9, 12, 3, 8)])
+    assert shift_of_dielectrics(account, unmoved, metallic, shares, preset) == pytest.approx(0, abs=1e-3), "an older account"
+    assert shift_of_dielectrics(Account(), roughness, metallic, shares, preset) == 0
 
 
 def test_only_dielectrics_are_moved_and_stay_in_the_scan():

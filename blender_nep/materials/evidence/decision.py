@@ -40,7 +40,6 @@ from blender_nep.materials.fitting import place_in_scan, place_of_least, roughne
 from blender_nep.messages import Message
 
 if TYPE_CHECKING:
-    from blender_nep.materials.palette.palette import Palette
     from blender_nep.presets import MaterialPreset
 
 ALL: tuple[Evidence, ...] = (Residual(), Spread(), Hue(), ThirdMoment())
@@ -204,17 +203,20 @@ def decide_segments(
     return chosen, torch.where(dielectric, place + shift, place).clamp(0, cost.shape[1] - 1)
 
 
-def shift_of_dielectrics(account: Account, palette: Palette, shares: Sequence[float], preset: MaterialPreset) -> float:
+def shift_of_dielectrics(
+    account: Account, roughness: Tensor, metallic: Tensor, shares: Sequence[float], preset: MaterialPreset
+) -> float:
     """How far the third moment moves a palette's dielectrics from where their residual is least, in `roughness_scan`.
 
-    The mean over all dielectrics, with their shares as weights. Those of which it says nothing are not moved. The palette
-    may have blends, of which nothing was told; they do not count.
+    The palette has roughness [K], metallic [K] and the shares [K]. The mean over all dielectrics, with their shares as
+    weights. Those of which it says nothing are not moved. The last values may be those of blends, of which nothing was told;
+    they do not count.
     """
     moved, weight = [], []
     for k, told in enumerate(account.told):
-        if float(palette.metallic[k]) > 0.5:
+        if float(metallic[k]) > 0.5:
             continue
-        before, after = told.get(Residual.name, {}).get("roughness"), float(palette.roughness[k])
+        before, after = told.get(Residual.name, {}).get("roughness"), float(roughness[k])
         steps = 0.0
         if before is not None and "roughness" in told.get(ThirdMoment.name, {}):
             places = place_in_scan(torch.tensor([before, after]), preset.least_roughness).tolist()

@@ -88,8 +88,8 @@ class VariedLearning:
             metal = search.metal_by_colors(palette.palette)
             if metal is not None:
                 least = p.varied_gain_of_both
-                of_palette = classes_of_segments(metal, segments).to(self.seen.device)
-                gain = gain_of_segments(search, palette, segments, of_palette, palette_sees_all=False)
+                likely = classes_of_segments(metal, segments).to(self.seen.device)
+                gain = gain_of_segments(search, palette, segments, likely, palette_sees_all=False)
             elif bool((palette.palette.metallic > 0.5).all()):  # tarnish makes a metal vary
                 metal, least = np.ones(len(palette.label), bool), p.varied_gain_of_metal
                 gain = gain_of_segments(search, palette, segments, torch.ones(len(segments), device=self.seen.device))
@@ -116,7 +116,8 @@ class VariedLearning:
             search = search.under(search.light.with_unseen(search.light.unseen.scaled(gain)))
             lit = lit.with_unseen(gain)
         self.report.samples = len(lit.samples)
-        shift = shift_of_dielectrics(palette.account, palette.palette, palette.shares().tolist(), p)
+        of_palette = palette.palette.roughness, palette.palette.metallic
+        shift = shift_of_dielectrics(palette.account, *of_palette, palette.shares().tolist(), p)
         fitted = fit_segments(lit.light, lit.samples.radiance, label, segments, p, classes, shift=shift)
         self.report.tell_segments(fitted)
         return FoundVaried(VariedMaterials(segments, fitted, shift), lit, pixels, search)
