@@ -24,6 +24,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
+from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.capture.turntable.rows import LEAST_PHOTOS
 from blender_nep.evidence.sdf_grid import SdfGrid
 from blender_nep.fields.printed_plate import PrintedPlate
@@ -62,6 +63,8 @@ _TRIED = 12
 """Photos of a row whose colors are tried as those of the surroundings, at each pixel"""
 _FIRST_CELLS = 48
 """Cells along each side of the cube in which the first hulls are carved"""
+PLATE = 3.0
+"""A plate is at most so large, in object radii."""
 _DARK = 0.005
 """Radiance that is added before factors are compared, so that noise in the dark has no hue"""
 _AT_A_TIME = 4096
@@ -76,19 +79,24 @@ def still_silhouettes(rays: PixelRays, support: Support | None = None) -> list[T
     From 0.5 on, it differs. The photos are averaged over blocks of b^2 pixels, so that about BLOCKS are left along the
     shorter side; b is at most 4. Blocks whose rays miss the object's sphere have 0. A photo from whose place fewer than two
     others were taken does not vote: its map is NaN. support: the plane on which the object stands, if it is known; what is
-    printed on it counts as still. Takes 4 CPU seconds for 60 photos, and 12 on a printed plate. Raises ValueError for rays
-    without the motions of a turntable.
+    printed on it counts as still. Takes 4 CPU seconds for 60 photos, and about 8 to 12 if the plane is known. Raises
+    ValueError for rays without the motions of a turntable.
     """
     rows = rows_of(rays)
     block = min(max(1, round(min(min(size) for size in rays.size) / BLOCKS)), 4)
-    first = _differences(rays, rows, block, None)
+    first, beyond = _differences(rays, rows, block, None), None
     plate = None if support is None else PrintedPlate.find(rays, support, first, block)
+    if plate is None and support is not None:  # a print that is wider than the sphere turns beside it, too
+        beyond = support
+        other = _differences(rays, rows, block, None, beyond)
+        plate = PrintedPlate.find(rays, support, other, block)
+        first, beyond = (first, None) if plate is None else (other, beyond)
     maps = first if plate is None else plate.taken_out(first)
     filled = [_without_holes(values) for values in maps]
     hull = carve(score_cells(rays, filled, _FIRST_CELLS, FIRST_SHARE), on_support=True)
     if hull is None:
         return maps
-    maps = _differences(rays, rows, block, _covered_by(rays, hull, first))
+    maps = _differences(rays, rows, block, _covered_by(rays, hull, first), beyond)
     if plate is None:
         return maps
     for _ in range(_CARVINGS):
@@ -98,7 +106,7 @@ def still_silhouettes(rays: PixelRays, support: Support | None = None) -> list[T
             break
         hull = carved
         plate = plate.beside(hull.sdf)
-        maps = _differences(rays, rows, block, _covered_by(rays, hull, first))
+        maps = _differences(rays, rows, block, _covered_by(rays, hull, first), beyond)
     return plate.taken_out(maps)
 
 
@@ -109,8 +117,13 @@ def _covered_by(rays: PixelRays, hull: VisualHull, maps: list[Tensor]) -> list[T
     return [_covered(rays, view, points, tuple(values.shape)) for view, values in enumerate(maps)]
 
 
-def _differences(rays: PixelRays, rows: list[list[int]], block: int, covered: list[Tensor] | None) -> list[Tensor]:
-    """The maps [H / block, W / block] of all views. covered: where each view may show the object; None: not known."""
+def _differences(
+    rays: PixelRays, rows: list[list[int]], block: int, covered: list[Tensor] | None, beyond: Support | None = None
+) -> list[Tensor]:
+    """The maps [H / block, W / block] of all views. covered: where each view may show the object; None: not known.
+
+    beyond: a plane that turns. What shows it within PLATE does not tell how much still surroundings differ.
+    """
     maps: list[Tensor] = [torch.empty(0)] * rays.views
     for views in rows:
         colors = torch.stack([_colors(rays, view, block) for view in views])
@@ -120,7 +133,10 @@ def _differences(rays: PixelRays, rows: list[list[int]], block: int, covered: li
         else:
             in_sphere = torch.stack([_meets_sphere(rays, view, shape) for view in views]).any(0).flatten()
             hidden = None if covered is None else torch.stack([covered[view] for view in views]).flatten(1)
-            found = _of_row(colors.flatten(1, 2), in_sphere, hidden)
+            still = ~in_sphere
+            if beyond is not None:
+                still &= ~_shows_plate(rays, views[0], shape, beyond).flatten()
+            found = _of_row(colors.flatten(1, 2), in_sphere, still, hidden)
         for view, values in zip(views, found, strict=True):
             maps[view] = values.view(shape)
     return maps
@@ -166,13 +182,14 @@ def rows_of(rays: PixelRays) -> list[list[int]]:
     return rows
 
 
-def _of_row(colors: Tensor, in_sphere: Tensor, hidden: Tensor | None) -> Tensor:
+def _of_row(colors: Tensor, in_sphere: Tensor, still: Tensor, hidden: Tensor | None) -> Tensor:
     """The values [photos, n] of colors [photos, n, 3] at places of which in_sphere [n] may show the object.
 
-    hidden [photos, n]: where the object may cover the surroundings; None: not known.
+    still [n]: places that tell how much still surroundings differ. hidden [photos, n]: where the object may cover the
+    surroundings; None: not known.
     """
     found = torch.zeros(colors.shape[:2], device=colors.device)
-    beside = (~in_sphere).nonzero()[:, 0]
+    beside = still.nonzero()[:, 0]
     usual = 0.0
     if len(beside):
         some = colors[:, beside[:: max(1, len(beside) // _AT_A_TIME)]]
@@ -227,13 +244,27 @@ def _colors(rays: PixelRays, view: int, block: int) -> Tensor:
     return functional.adaptive_avg_pool2d(photo, shape)[0].permute(1, 2, 0)
 
 
-def _meets_sphere(rays: PixelRays, view: int, shape: tuple[int, ...]) -> Tensor:
-    """Whether the rays through the middles of the blocks of a photo meet the object's sphere, shape [rows, columns] bool."""
+def _middles(rays: PixelRays, view: int, shape: tuple[int, ...]) -> RayBundle:
+    """The rays through the middles of the blocks of a photo, shape [rows, columns], one after the other."""
     (height, width), (rows, columns) = rays.size[view], shape
     device = rays.radiance.device
     row = ((torch.arange(rows, device=device) + 0.5) * height / rows).long()
     column = ((torch.arange(columns, device=device) + 0.5) * width / columns).long()
-    bundle = rays.rays((rays.offset[view] + row[:, None] * width + column).flatten())
+    return rays.rays((rays.offset[view] + row[:, None] * width + column).flatten())
+
+
+def _shows_plate(rays: PixelRays, view: int, shape: tuple[int, ...], plane: Support) -> Tensor:
+    """Whether the blocks of a photo, shape [rows, columns] bool, show a plane within PLATE of the sphere's center."""
+    bundle = _middles(rays, view, shape)
+    normal = torch.as_tensor(np.asarray(plane.normal), dtype=bundle.origins.dtype, device=bundle.origins.device)
+    t = (plane.height - bundle.origins @ normal) / (bundle.directions @ normal).clamp(max=-1e-6)
+    points = bundle.origins + t[:, None] * bundle.directions
+    return ((t > 0) & (bundle.directions @ normal < 0) & (points.norm(dim=-1) < PLATE)).view(shape)
+
+
+def _meets_sphere(rays: PixelRays, view: int, shape: tuple[int, ...]) -> Tensor:
+    """Whether the rays through the middles of the blocks of a photo meet the object's sphere, shape [rows, columns] bool."""
+    bundle = _middles(rays, view, shape)
     along = -(bundle.origins * bundle.directions).sum(-1)
     meets = (along > 0) & ((bundle.origins + along[:, None] * bundle.directions).square().sum(-1) < 1)
-    return meets.view(rows, columns)
+    return meets.view(shape)

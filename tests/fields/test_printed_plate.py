@@ -10,8 +10,9 @@ from blender_nep.fields.visual_hull import carve, score_cells
 from blender_nep.support.plane import Support
 from blender_nep.support.plate_print import plate_print
 from blender_nep.tone_mapping import tone_map
+from support import turning_ball
 from support.table_scene import pattern
-from support.turning_ball import BALL, HEIGHT, PLACE, PLATE, turning_ball
+from support.turning_ball import BALL, HEIGHT, PLACE, PLATE
 
 PLANE = Support(np.array([0.0, 0.0, 1.0]), HEIGHT)
 AXIS = (np.arange(48) + 0.5) / 24 - 1
@@ -21,12 +22,12 @@ BALL_SDF = (np.linalg.norm(CELLS - PLACE, axis=-1) - BALL).astype(np.float32)
 
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory):
-    return turning_ball(tmp_path_factory.mktemp("printed"), "printed")[0]
+    return turning_ball.turning_ball(tmp_path_factory.mktemp("printed"), "printed")[0]
 
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    return turning_ball(tmp_path_factory.mktemp("plain"), "plain")[0]
+    return turning_ball.turning_ball(tmp_path_factory.mktemp("plain"), "plain")[0]
 
 
 def overlap(maps: list[torch.Tensor], rays) -> float:
@@ -41,6 +42,17 @@ def overlap(maps: list[torch.Tensor], rays) -> float:
 def test_the_print_is_no_part_of_the_object(printed):
     assert overlap(still_silhouettes(printed), printed) < 0.6
     assert overlap(still_silhouettes(printed, PLANE), printed) > 0.8
+
+
+@pytest.mark.parametrize("kind", ["printed", "plain"])
+def test_a_wide_plate_turns_beside_the_sphere_too(kind, tmp_path, monkeypatch):
+    monkeypatch.setattr(turning_ball, "PLATE", 2.0)
+    rays = turning_ball.turning_ball(tmp_path, kind)[0]
+    own, with_plane = still_silhouettes(rays), still_silhouettes(rays, PLANE)
+    if kind == "printed":
+        assert overlap(with_plane, rays) > 0.85
+    else:
+        assert all(torch.equal(one, other) for one, other in zip(own, with_plane, strict=True))
 
 
 def test_a_plain_plate_is_left_alone(plain):
