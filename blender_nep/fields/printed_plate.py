@@ -7,6 +7,7 @@ and has its color. A printed plate differs from what stands still wherever photo
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -43,19 +44,21 @@ class PrintedPlate:
     """Side of the blocks over which photos are averaged, in pixels"""
 
     @classmethod
-    def find(cls, rays: PixelRays, support: Support, differences: list[Tensor], block: int) -> PrintedPlate | None:
-        """The print on a support plane; None for a plain one. Takes about a CPU second.
+    def of(cls, rays: PixelRays, support: Support, block: int) -> PrintedPlate:
+        """What would be the print on a support plane. Takes about a CPU second."""
+        photos = SmallPhotos(rays)
+        return cls(rays, photos, plate_print(photos, support), block)
+
+    def is_seen(self, differences: list[Tensor]) -> bool:
+        """Whether the plate is printed; False for a plain one.
 
         differences: for each view [H / block, W / block], how much its photo differs from what stands still. From 0.5 on, it
         differs.
         """
-        photos = SmallPhotos(rays)
-        plate = cls(rays, photos, plate_print(photos, support), block)
-        shown = [(off < ALIKE) & voting for off, voting in zip(plate.off_print(), plate.voting(differences), strict=True)]
+        shown = [(off < ALIKE) & voting for off, voting in zip(self.off_print, self.voting(differences), strict=True)]
         blocks = int(sum(part.sum() for part in shown))
         turning = int(sum(((values >= 0.5) & part).sum() for values, part in zip(differences, shown, strict=True)))
-        printed = blocks >= LEAST_BLOCKS * rays.views and turning > PRINTED * blocks
-        return plate if printed else None
+        return blocks >= LEAST_BLOCKS * self.rays.views and turning > PRINTED * blocks
 
     def voting(self, differences: list[Tensor]) -> list[Tensor]:
         """For each view [H / block, W / block] bool: the blocks near the sphere of views whose differences are known.
@@ -76,12 +79,13 @@ class PrintedPlate:
 
     def taken_out(self, silhouettes: list[Tensor]) -> list[Tensor]:
         """The silhouettes [H / block, W / block], 0..1, of all views, without what shows the print."""
-        values = [(0.5 * off / OFF_PRINT).clamp(max=1) for off in self.off_print()]
+        values = [(0.5 * off / OFF_PRINT).clamp(max=1) for off in self.off_print]
         return [
             torch.where(value.isnan(), own, torch.minimum(own, value))
             for own, value in zip(silhouettes, values, strict=True)
         ]
 
+    @cached_property
     def off_print(self) -> list[Tensor]:
         """For each view [H / block, W / block]: how much its photo differs from the print, tone-mapped; NaN beside it."""
 

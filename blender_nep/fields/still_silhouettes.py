@@ -63,7 +63,7 @@ _TRIED = 12
 """Photos of a row whose colors are tried as those of the surroundings, at each pixel"""
 _FIRST_CELLS = 48
 """Cells along each side of the cube in which the first hulls are carved"""
-PLATE = 3.0
+WIDEST_PLATE = 3.0
 """A plate is at most so large, in object radii."""
 _DARK = 0.005
 """Radiance that is added before factors are compared, so that noise in the dark has no hue"""
@@ -85,12 +85,13 @@ def still_silhouettes(rays: PixelRays, support: Support | None = None) -> list[T
     rows = rows_of(rays)
     block = min(max(1, round(min(min(size) for size in rays.size) / BLOCKS)), 4)
     first, beyond = _differences(rays, rows, block, None), None
-    plate = None if support is None else PrintedPlate.find(rays, support, first, block)
-    if plate is None and support is not None:  # a print that is wider than the sphere turns beside it, too
-        beyond = support
-        other = _differences(rays, rows, block, None, beyond)
-        plate = PrintedPlate.find(rays, support, other, block)
-        first, beyond = (first, None) if plate is None else (other, beyond)
+    plate = None if support is None else PrintedPlate.of(rays, support, block)
+    if plate is not None and not plate.is_seen(first):  # a print that is wider than the sphere turns beside it, too
+        other = _differences(rays, rows, block, None, support)
+        if plate.is_seen(other):
+            first, beyond = other, support
+        else:
+            plate = None
     maps = first if plate is None else plate.taken_out(first)
     filled = [_without_holes(values) for values in maps]
     hull = carve(score_cells(rays, filled, _FIRST_CELLS, FIRST_SHARE), on_support=True)
@@ -122,7 +123,7 @@ def _differences(
 ) -> list[Tensor]:
     """The maps [H / block, W / block] of all views. covered: where each view may show the object; None: not known.
 
-    beyond: a plane that turns. What shows it within PLATE does not tell how much still surroundings differ.
+    beyond: a plane that turns. What shows it within WIDEST_PLATE does not tell how much still surroundings differ.
     """
     maps: list[Tensor] = [torch.empty(0)] * rays.views
     for views in rows:
@@ -254,12 +255,12 @@ def _middles(rays: PixelRays, view: int, shape: tuple[int, ...]) -> RayBundle:
 
 
 def _shows_plate(rays: PixelRays, view: int, shape: tuple[int, ...], plane: Support) -> Tensor:
-    """Whether the blocks of a photo, shape [rows, columns] bool, show a plane within PLATE of the sphere's center."""
+    """Whether the blocks of a photo, shape [rows, columns] bool, show a plane within WIDEST_PLATE of the sphere's center."""
     bundle = _middles(rays, view, shape)
     normal = torch.as_tensor(np.asarray(plane.normal), dtype=bundle.origins.dtype, device=bundle.origins.device)
     t = (plane.height - bundle.origins @ normal) / (bundle.directions @ normal).clamp(max=-1e-6)
     points = bundle.origins + t[:, None] * bundle.directions
-    return ((t > 0) & (bundle.directions @ normal < 0) & (points.norm(dim=-1) < PLATE)).view(shape)
+    return ((t > 0) & (bundle.directions @ normal < 0) & (points.norm(dim=-1) < WIDEST_PLATE)).view(shape)
 
 
 def _meets_sphere(rays: PixelRays, view: int, shape: tuple[int, ...]) -> Tensor:
