@@ -35,7 +35,7 @@ from blender_nep.errors import UsageError
 from blender_nep.fields.fields import Fields
 from blender_nep.job.stage_names import StageName
 from blender_nep.job.stages import surface_result
-from blender_nep.materials.explained_photos import behind, burnt_out, shows_support
+from blender_nep.materials.explained_photos import behind, shows_support
 from blender_nep.presets import preset
 from blender_nep.support.plane import Support
 
@@ -86,7 +86,7 @@ def score(folder: Path, asset: Path, photos: int | None = None, samples: int = S
         around = np.zeros((len(index), 3), np.float32)
         if fields is not None:
             around = behind(fields.environment, rays, index) / exposure
-        usable = rays.valid[index].numpy() & ~burnt_out(rays, index)
+        usable = rays.valid[index].numpy() & ~rays.burnt_out(index).cpu().numpy()
         mask = covered if rays.mask is None else rays.mask[index].numpy() / 255
         beside = usable & (mask <= _NONE) & (covered <= _NONE)
         if support is not None:

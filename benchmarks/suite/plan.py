@@ -34,6 +34,7 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "full gradients of F_e": {"fields": {"environment_gradient_scale": 1.0}},
     WITHOUT_F_E: {"material": {}},
     "no cones": {"material": {"use_cones": False}},
+    "no brighter than white": {"environment": {"burnt_gain": 1.0}},
     "no camera response": {"material": {"camera_response": False}},
     "no object gains": {"material": {"object_gains": False}},
     "no smooth classes": {"material": {"unclear_classes": float("inf")}},

@@ -19,7 +19,7 @@ import trimesh
 from torch import Tensor, nn
 
 from blender_nep.asset.photo_score import PhotoScore, photo_score
-from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
+from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.rays.pixel_set import PixelSet
 from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.fields.environment.field import EnvironmentField
@@ -129,8 +129,9 @@ def explain_photos(
     else:
         mask = rays.mask[index].cpu().numpy()
         of_object, beside = mask >= _OBJECT, ~hit & (mask <= _BESIDE)
-    of_object = of_object & ~burnt_out(rays, index)
-    beside = beside & ~burnt_out(rays, index) & ~_support_shown(f_p, origins, directions)
+    burnt = rays.burnt_out(index).cpu().numpy()
+    of_object = of_object & ~burnt
+    beside = beside & ~burnt & ~_support_shown(f_p, origins, directions)
     chosen = np.flatnonzero(of_object)
     if len(chosen) > _PIXELS:
         chosen = np.sort(random.choice(chosen, _PIXELS, replace=False))
@@ -172,7 +173,7 @@ def _surroundings(
     if not (rays.background and environment.known):
         return None
     outside = _drawn(rays.outside, every, _PIXELS, random)
-    index = torch.cat([outside[torch.from_numpy(~burnt_out(rays, outside)).to(outside.device)], beside]).sort().values
+    index = torch.cat([outside[~rays.burnt_out(outside)], beside]).sort().values
     if len(index) > _PIXELS:
         index = index[torch.from_numpy(np.sort(random.choice(len(index), _PIXELS, replace=False))).to(index.device)]
     compared = _in_files(rays, rays.photo(index), behind(environment, rays, index))
@@ -210,13 +211,6 @@ def _flags(chosen: np.ndarray, hit: np.ndarray) -> np.ndarray:
     flags = np.zeros(len(hit), bool)
     flags[chosen] = True
     return flags & hit
-
-
-def burnt_out(rays: PixelRays, index: Tensor) -> np.ndarray:
-    """Whether the photos may show less than the true radiance in the pixels index [n]: [n] bool."""
-    if rays.brightest > BRIGHTEST_CLIPPED:
-        return np.zeros(len(index), bool)
-    return (rays.radiance[index].amax(-1) > SATURATED).cpu().numpy()
 
 
 def _support_shown(f_p: PlenopticFunction, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -84,6 +84,8 @@ class EnvironmentPreset:
     """A node has full coverage if the weights with which `coverage_rays` camera rays see it add up to this."""
     coverage_rays: int = 200_000
     """Number of camera rays with which the coverage is measured, after F_e is learned."""
+    burnt_gain: float = 3.0
+    """How many times as bright as white the light is where photos end at white (docs/lab/burnt-out-light.md)."""
     rays_per_step: int = 4096
     """Rays of a step of F_e alone."""
     steps: int = 2000

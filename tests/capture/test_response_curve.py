@@ -36,11 +36,12 @@ def test_a_typical_camera_is_as_iso_12232_says():
 
 
 @pytest.mark.parametrize("strength", STRENGTHS)
-def test_beyond_white_the_curve_goes_on_straight(strength):
+def test_beyond_white_light_grows_in_proportion(strength):
     curve = ResponseCurve.of(strength, white=1.7, middle=0.2)
-    around = 1.7 + 1e-6 * torch.arange(-1, 3).double()
-    below, at, beyond = curve.light(around).diff().tolist()
-    assert below == pytest.approx(at, rel=1e-3) and at == pytest.approx(beyond, rel=1e-6)
+    white, twice, five = curve.light(1.7 * torch.tensor([1.0, 2.0, 5.0]).double()).tolist()
+    assert twice == pytest.approx(2 * white, rel=1e-9) and five == pytest.approx(5 * white, rel=1e-9)
+    below = float(curve.light(torch.tensor(1.7 * (1 - 1e-9)).double()))
+    assert below == pytest.approx(white, rel=1e-6), "the curve does not jump at white"
 
 
 @pytest.mark.parametrize("strength", [-0.1, MOST_STRENGTH + 0.1, float("nan")])

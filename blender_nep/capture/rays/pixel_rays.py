@@ -107,6 +107,20 @@ class PixelRays:
             radiance = self.response.light(radiance)
         return radiance if self.object_gain is None else radiance / self.object_gain[self.view_of(index)][:, None]
 
+    def burnt_out(self, index: Tensor) -> Tensor:
+        """Whether a channel of the pixels index [n] int64 may show less than the true radiance: [n] bool."""
+        return self._ends(self.radiance[index].amax(-1))
+
+    def white(self, index: Tensor) -> Tensor:
+        """Whether all channels of the pixels index [n] int64 may show less than the true radiance: [n] bool."""
+        return self._ends(self.radiance[index].amin(-1))
+
+    def _ends(self, values: Tensor) -> Tensor:
+        """Whether the files' values [n] are as large as the files can store, if these store no more than 1: [n] bool."""
+        if self.brightest > BRIGHTEST_CLIPPED:
+            return torch.zeros_like(values, dtype=torch.bool)
+        return values > SATURATED
+
     def in_files(self, index: Tensor) -> Tensor:
         """The radiance [..., 3] float32 of the pixels index [...] int64 as their files have it, without `curve_of_files`."""
         radiance = self.radiance[index].float()

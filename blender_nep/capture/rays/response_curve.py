@@ -51,18 +51,18 @@ class ResponseCurve:
         return cls.of(strength, 1.0, 1.0)
 
     def light(self, photo: Tensor) -> Tensor:
-        """The light [...] that made a photo's linear radiance [...] >= 0. Beyond white the curve goes on straight."""
+        """The light [...] that made a photo's linear radiance [...] >= 0. Beyond white, both grow in proportion."""
         n, q = _constants(self.strength)
         y = photo / self.white
         below = y.clamp(0, 1)
-        return self.scale * ((below / (1 + q * (1 - below))) ** (1 / n) + (y - 1).clamp_min(0) * (1 + q) / n)
+        return self.scale * ((below / (1 + q * (1 - below))) ** (1 / n) + (y - 1).clamp_min(0))
 
     def photo(self, light: Tensor) -> Tensor:
         """The inverse of `light`: the radiance [...] that a photo shows of light [...] >= 0."""
         n, q = _constants(self.strength)
         x = light / self.scale
         power = x.clamp(0, 1) ** n
-        return self.white * ((1 + q) * power / (1 + q * power) + (x - 1).clamp_min(0) * n / (1 + q))
+        return self.white * ((1 + q) * power / (1 + q * power) + (x - 1).clamp_min(0))
 
     @classmethod
     def from_state(cls, state: dict[str, float]) -> ResponseCurve:

@@ -56,6 +56,7 @@ class EnvironmentField(nn.Module):
         self.raw = nn.Parameter(raw)
         self.detail = nn.Parameter(torch.zeros(0, 0, 3))
         self.register_buffer("coverage", torch.zeros(raw.shape[:3]))
+        self.register_buffer("burnt", torch.zeros(raw.shape[:3]))
         self.far_share: torch.Tensor
         self.register_buffer("far_share", torch.tensor(-1.0))  # -1: not measured yet
         self._prefiltered: PrefilteredEnvironment | None = None
@@ -130,6 +131,18 @@ class EnvironmentField(nn.Module):
 
         The transmittance is at most `preset.transmittance_limit` where t_far is inf.
         """
+        return self._rendered(self.raw, origins, directions, t_near, t_far, generator)
+
+    def _rendered(
+        self,
+        raw: torch.Tensor,
+        origins: torch.Tensor,
+        directions: torch.Tensor,
+        t_near: torch.Tensor,
+        t_far: torch.Tensor,
+        generator: torch.Generator | None,
+    ) -> RenderedSegments:
+        """`render` of a grid like `raw`."""
         if not self.known:
             finite = torch.isfinite(t_far).to(origins.dtype)
             return RenderedSegments(torch.zeros_like(origins), finite, torch.zeros_like(finite))
@@ -149,7 +162,7 @@ class EnvironmentField(nn.Module):
             depth_limit=self.preset.depth_limit,
         )
         segments = RaySegments(origins, directions, t_near, t_far)
-        return render_environment(self.raw, self.detail, segments, volume, jitter=jitter)
+        return render_environment(raw, self.detail, segments, volume, jitter=jitter)
 
     @profiled("F_e priors")
     def regularize(self, generator: torch.Generator | None = None) -> float:
@@ -196,7 +209,7 @@ class EnvironmentField(nn.Module):
         if due <= self.level:
             return False
         self.raw = nn.Parameter(resample(self.raw.detach(), *self.resolutions[due]))
-        self.coverage = self.raw.new_zeros(self.raw.shape[:3])
+        self.coverage, self.burnt = (self.raw.new_zeros(self.raw.shape[:3]) for _ in range(2))
         return True
 
     @torch.no_grad()
@@ -221,14 +234,26 @@ class EnvironmentField(nn.Module):
         return True
 
     @torch.no_grad()
-    def freeze(self, origins: torch.Tensor, directions: torch.Tensor) -> None:
-        """End the learning: measure `coverage` with camera rays [n, 3], so that cones can be queried.
+    def freeze(self, origins: torch.Tensor, directions: torch.Tensor, burnt: torch.Tensor | None = None) -> None:
+        """End the learning: measure `coverage` and `burnt` with camera rays [n, 3], so that cones can be queried.
 
         The coverage of a node is the summed weight with which the rays see it, divided by `preset.coverage_weight`, at
-        most 1. That weight is low, because what photos show is known better than what only the object reflects.
+        most 1. That weight is low, because what photos show is known better than what only the object reflects. `burnt` [n]
+        bool says at which rays the photos end at white (None: at no ray). A node's `burnt` is the share of these rays in the
+        summed weight.
         """
         if not self.known:
             return
+        if burnt is None:
+            burnt = torch.zeros_like(origins[:, 0], dtype=torch.bool)
+        told, white = (self._weight_seen(origins[rays], directions[rays]) for rays in (~burnt, burnt))
+        seen = told + white
+        self.coverage = (seen / self.preset.coverage_weight).clamp(max=1)
+        self.burnt = torch.where(seen > 0, white / seen, 0)
+        self._prefiltered = None
+
+    def _weight_seen(self, origins: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
+        """The summed weights [K, H, W] with which camera rays [n, 3] see the nodes."""
         weight_seen = np.zeros(self.raw.shape[:3], np.float32)
         if self.infinite:
             origins = torch.zeros_like(origins)
@@ -241,9 +266,12 @@ class EnvironmentField(nn.Module):
             Medium(self.preset.contraction_radius, self.preset.density_gain, 0.0, 0.0, 0.0),
             weight_seen,
         )
-        seen = (torch.from_numpy(weight_seen) / self.preset.coverage_weight).clamp(max=1)
-        self.coverage = seen.to(self.raw.device)
-        self._prefiltered = None
+        return torch.from_numpy(weight_seen).to(self.raw.device)
+
+    def _light(self) -> torch.Tensor:
+        """The grid [K, H, W, 4] of the light: as `raw`, but brighter where photos end at white."""
+        brighter = math.log(self.preset.burnt_gain) * self.burnt
+        return torch.cat([self.raw.detach()[..., :1], self.raw.detach()[..., 1:] + brighter[..., None]], -1)
 
     @profiled("F_e cones")
     @torch.no_grad()
@@ -265,7 +293,7 @@ class EnvironmentField(nn.Module):
             return torch.zeros_like(origins), torch.zeros_like(origins[:, 0])
         if self._prefiltered is None:
             self._prefiltered = PrefilteredEnvironment(
-                self.raw, self.coverage, self.detail, self.preset.density_gain, self.preset.contraction_radius
+                self._light(), self.coverage, self.detail, self.preset.density_gain, self.preset.contraction_radius
             )
         if self.infinite:
             origins, t_near = torch.zeros_like(origins), torch.full_like(origins[:, 0], FAR)
@@ -312,7 +340,9 @@ class EnvironmentField(nn.Module):
         fine = 4 * height
         direction = _equirect_directions(fine, self.raw.device)
         near = torch.ones_like(direction[:, 0])
-        radiance = self.render(torch.zeros_like(direction), direction, near, near * torch.inf).radiance
+        radiance = self._rendered(
+            self._light(), torch.zeros_like(direction), direction, near, near * torch.inf, None
+        ).radiance
         return radiance.reshape(height, 4, 2 * height, 4, 3).mean((1, 3))
 
     def parameter_groups(self) -> list[dict]:
@@ -324,7 +354,7 @@ class EnvironmentField(nn.Module):
         stored = state_dict.get(prefix + "raw")
         if stored is not None and stored.shape != self.raw.shape:
             self.raw = nn.Parameter(self.raw.new_empty(stored.shape))
-            self.coverage = self.raw.new_zeros(stored.shape[:3])
+            self.coverage, self.burnt = (self.raw.new_zeros(stored.shape[:3]) for _ in range(2))
         detail = state_dict.get(prefix + "detail")
         if detail is not None and detail.shape != self.detail.shape:
             self.detail = nn.Parameter(self.detail.new_empty(detail.shape))

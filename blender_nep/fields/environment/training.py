@@ -87,8 +87,9 @@ def freeze(environment: EnvironmentField, rays: PixelRays, background: PixelSet 
     """End the learning of F_e: measure its coverage with random pixels out of `background` (indices)."""
     generator = torch.Generator(background.device).manual_seed(seed)
     pick = random_places(environment.preset.coverage_rays, len(background), generator)
-    origins, directions, _ = rays.rays(background[pick]).in_room()
-    environment.freeze(origins, directions)
+    index = background[pick]
+    origins, directions, _ = rays.rays(index).in_room()
+    environment.freeze(origins, directions, rays.white(index))
 
 
 def save_if_due(checkpoint: Checkpoint, state: Callable[[], dict]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
+from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED
 from blender_nep.capture.rays.pixel_width import pixel_width
 from blender_nep.errors import LearningError
 from blender_nep.geometry.ray_tracing import RayTracer
@@ -107,7 +107,7 @@ def select_samples(
     edge, variance = edges_and_reflection_variance(tracer, normals, o, d, t, angle, smooth, cosine, on)
     leave_out("edge", on & edge)
     if rays.brightest <= BRIGHTEST_CLIPPED:
-        leave_out("saturated", (rays.radiance[index].amax(-1) > SATURATED).cpu().numpy())
+        leave_out("saturated", rays.burnt_out(index).cpu().numpy())
     chosen = np.flatnonzero(on)
     if len(chosen) == 0:
         raise LearningError(
