@@ -9,6 +9,7 @@ import numpy as np
 import torch
 import trimesh
 
+from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.rays.pixel_width import pixel_width
 from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.capture.rays.response_curve import ResponseCurve
@@ -123,6 +124,8 @@ class SyntheticRays:
     response: ResponseCurve | None = None
     object_gain: torch.Tensor | None = None
     turntable: RigidMotions | None = None
+
+    burnt_out, white, _ends = PixelRays.burnt_out, PixelRays.white, PixelRays._ends
 
     @property
     def views(self) -> int:
