@@ -14,4 +14,4 @@ def seen_by_camera(light: np.ndarray, curve: tuple[float, float, float] | None) 
     n, q = 1 + CONTRAST * strength, SHOULDER * strength
     x = light / scale
     power = np.clip(x, 0, 1) ** n
-    return white * ((1 + q) * power / (1 + q * power) + np.maximum(x - 1, 0) * n / (1 + q))
+    return white * ((1 + q) * power / (1 + q * power) + np.maximum(x - 1, 0))

@@ -86,6 +86,9 @@ class EnvironmentPreset:
     """Number of camera rays with which the coverage is measured, after F_e is learned."""
     burnt_gain: float = 3.0
     """How many times as bright as white the light is where photos end at white (docs/lab/burnt-out-light.md)."""
+    backdrop_share: tuple[float, float] = (0.1, 0.3)
+    """Shares of the surroundings' pixels that are white. Up to the first, white is lamps and windows. From the second on, it
+    is a backdrop, which is hardly brighter than white. In between, the gain falls."""
     rays_per_step: int = 4096
     """Rays of a step of F_e alone."""
     steps: int = 2000

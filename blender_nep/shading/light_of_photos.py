@@ -18,7 +18,8 @@ from blender_nep.shading.environment import Environment
 class LightOfPhotos:
     """The light behind an environment that was learned from photos with this curve.
 
-    The curve is undone on the mean of a cone. The mean of a narrow cone, of which one lamp fills a part, comes out too dark.
+    The curve is undone on the mean of a cone. The mean of a narrow cone, of which one lamp fills a part, comes out too
+    dark below white, and slightly too bright beyond.
     """
 
     photos: Environment

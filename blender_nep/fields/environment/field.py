@@ -109,7 +109,6 @@ class EnvironmentField(nn.Module):
         """Longest step along a ray, in contracted distance."""
         return self.preset.march_step * contracted_length(self.preset.contraction_radius) / (self.raw.shape[0] - 1)
 
-    @profiled("F_e march")
     def render(
         self,
         origins: torch.Tensor,
@@ -133,6 +132,7 @@ class EnvironmentField(nn.Module):
         """
         return self._rendered(self.raw, origins, directions, t_near, t_far, generator)
 
+    @profiled("F_e march")
     def _rendered(
         self,
         raw: torch.Tensor,
@@ -238,9 +238,11 @@ class EnvironmentField(nn.Module):
         """End the learning: measure `coverage` and `burnt` with camera rays [n, 3], so that cones can be queried.
 
         The coverage of a node is the summed weight with which the rays see it, divided by `preset.coverage_weight`, at
-        most 1. That weight is low, because what photos show is known better than what only the object reflects. `burnt` [n]
-        bool says at which rays the photos end at white (None: at no ray). A node's `burnt` is the share of these rays in the
-        summed weight.
+        most 1. That weight is low, because what photos show is known better than what only the object reflects.
+
+        `burnt` [n] bool says at which rays the photos end at white in all channels (`PixelRays.white`; None: at no ray). A
+        node's `burnt` is the share of these rays in the summed weight. It is lower if so many rays are burnt that white is a
+        backdrop.
         """
         if not self.known:
             return
@@ -249,7 +251,9 @@ class EnvironmentField(nn.Module):
         told, white = (self._weight_seen(origins[rays], directions[rays]) for rays in (~burnt, burnt))
         seen = told + white
         self.coverage = (seen / self.preset.coverage_weight).clamp(max=1)
-        self.burnt = torch.where(seen > 0, white / seen, 0)
+        lamps, backdrop = self.preset.backdrop_share
+        like_lamps = ((backdrop - burnt.float().mean()) / (backdrop - lamps)).clamp(0, 1)
+        self.burnt = like_lamps * torch.where(seen > 0, white / seen, 0)
         self._prefiltered = None
 
     def _weight_seen(self, origins: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
