@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from benchmarks.suite.plan import ABLATIONS
 from blender_nep.capture import load_capture
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.fields.environment.field import EnvironmentField
@@ -67,6 +68,13 @@ def test_a_white_backdrop_is_hardly_brighter_than_white(share, gain):
     field.freeze(-2 * directions, directions, directions @ UP[0] > 1 - 2 * share)
     assert radiance(field, UP, 0.1) == pytest.approx(gain, rel=0.03)
     assert radiance(field, DOWN, 0.2) == pytest.approx(1, rel=0.02)
+
+
+def test_the_ablation_leaves_it_at_white():
+    preset = replace(PRESET, **ABLATIONS["no brighter than white"]["environment"])
+    field, directions = gray_sky(preset), all_around(200_000)
+    field.freeze(-2 * directions, directions, directions @ UP[0] > 0.85)
+    assert radiance(field, UP, 0.2) == pytest.approx(1, rel=0.02)
 
 
 def test_light_that_other_photos_show_below_white_counts_less():

@@ -277,7 +277,13 @@ def pixel_rays(room: EnvironmentField, n: int, seed: int) -> SimpleNamespace:
         radiance = room.render(origins, directions, torch.full((n,), 0.6), torch.full((n,), math.inf))[0]
     half_angle = torch.full((n,), 1e-3)
     rays = RayBundle(origins, directions, half_angle)
-    return SimpleNamespace(radiance=radiance, count=n, rays=lambda i: rays[i], photo=lambda i: radiance[i])
+    return SimpleNamespace(
+        radiance=radiance,
+        count=n,
+        rays=lambda i: rays[i],
+        photo=lambda i: radiance[i],
+        white=lambda i: torch.zeros_like(i) > 0,
+    )
 
 
 def learn_room(seed: int):
