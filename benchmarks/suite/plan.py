@@ -14,7 +14,8 @@ from blender_nep.presets import EVIDENCE, PRESETS, REFINEMENTS, Preset
 WITHOUT_F_E = "no F_e in stage 2"
 AS_TAKEN = "exposures as taken"
 TURNTABLE_OFF = "turntable off"
-OF_SOME_CAPTURES = (AS_TAKEN, TURNTABLE_OFF)
+AT_WHITE = "no brighter than white"
+OF_SOME_CAPTURES = (AS_TAKEN, TURNTABLE_OFF, AT_WHITE)
 """Ablations that change something on some captures only, so that they are in no plan"""
 
 
@@ -34,7 +35,7 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "full gradients of F_e": {"fields": {"environment_gradient_scale": 1.0}},
     WITHOUT_F_E: {"material": {}},
     "no cones": {"material": {"use_cones": False}},
-    "no brighter than white": {"environment": {"burnt_gain": 1.0}},
+    AT_WHITE: {"environment": {"burnt_gain": 1.0}},
     "no camera response": {"material": {"camera_response": False}},
     "no object gains": {"material": {"object_gains": False}},
     "no smooth classes": {"material": {"unclear_classes": float("inf")}},
@@ -56,8 +57,8 @@ In all presets w_s is off, and N is 2 where the scene needs it. The ablations of
 N = 2 and N = 3 would become 1 on most objects. "F_e not first" has no visual hull either, because the hull needs steps of
 F_e alone. WITHOUT_F_E changes no field of a preset: step.py gives stage 2 no F_e. All light is then a map at infinity, which
 is found by the object's reflections alone (the paper puts an MLP there). AS_TAKEN changes something only where the exposures
-of photos differ, and TURNTABLE_OFF only where the object turned: the light turns with the object then, as for a method that
-knows no turntables."""
+of photos differ, AT_WHITE only where photos end at white, and TURNTABLE_OFF only where the object turned: the light turns
+with the object then, as for a method that knows no turntables."""
 
 
 @dataclass(frozen=True)

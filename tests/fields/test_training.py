@@ -10,7 +10,7 @@ import torch
 import trimesh
 
 from benchmarks.suite.harness import with_changes
-from benchmarks.suite.plan import ABLATIONS
+from benchmarks.suite.plan import ABLATIONS, AT_WHITE
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.rays.pixel_set import PixelSet
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint
@@ -156,7 +156,7 @@ def test_a_loss_that_is_not_finite_is_given_up_with_a_message(rays):
 STAGE_1 = {
     name: changes
     for name, changes in ABLATIONS.items()
-    if changes and set(changes) <= {"fields", "environment"} and not name.startswith(("without ", "no brighter than white"))
+    if changes and set(changes) <= {"fields", "environment"} and name != AT_WHITE and not name.startswith("without ")
 }
 """Ablations of stage 1 alone, as the benchmarks run them. Refinements that are switched off: test_refinements. How bright
 burnt-out light is counts after the learning: test_burnt_out_light."""

@@ -23,7 +23,7 @@ from blender_nep.capture.exposure.sessions import times_of
 from blender_nep.capture.exposure.surroundings import Comparison, Exposures, compare_exposures, stops
 from blender_nep.capture.loading import load_capture
 from blender_nep.capture.photos.mask_files import MaskMeaning
-from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
+from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.capture.turntable.motions import in_unit_frame
 from blender_nep.messages import Message, shortened
@@ -116,10 +116,7 @@ def summarize(
 
 def _clipped(rays: PixelRays) -> float:
     """Share of the sphere's pixels that are burnt out, 0 .. 1. 0 where files can store more than white."""
-    if rays.brightest > BRIGHTEST_CLIPPED:
-        return 0.0
-    some = rays.sphere[:: max(1, len(rays.sphere) // 300_000)]
-    return float((rays.radiance[some].float().amax(-1) > SATURATED).float().mean())
+    return float(rays.burnt_out(rays.sphere[:: max(1, len(rays.sphere) // 300_000)]).float().mean())
 
 
 def _exposure_stops(capture: Capture, exposures: Exposures, compared: Comparison | None) -> float | None:

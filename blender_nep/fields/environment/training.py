@@ -84,7 +84,7 @@ def skipped_detail(environment: EnvironmentField) -> dict[str, dict]:
 
 
 def freeze(environment: EnvironmentField, rays: PixelRays, background: PixelSet | torch.Tensor, seed: int) -> None:
-    """End the learning of F_e: measure its coverage with random pixels out of `background` (indices)."""
+    """End the learning of F_e: measure with random pixels of `background` (indices) what photos show, and what as white."""
     generator = torch.Generator(background.device).manual_seed(seed)
     pick = random_places(environment.preset.coverage_rays, len(background), generator)
     index = background[pick]
