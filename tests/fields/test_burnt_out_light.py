@@ -18,9 +18,10 @@ PRESET = EnvironmentPreset(
 )
 UP, ACROSS = torch.tensor([[0.6, 0.0, 0.8]]), torch.tensor([[1.0, 0.0, 0.0]])
 DOWN = -UP
+RAYS = 30_000
 
 
-def all_around(count: int) -> torch.Tensor:
+def all_around(count: int = RAYS) -> torch.Tensor:
     generator = torch.Generator().manual_seed(0)
     return torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
 
@@ -52,7 +53,7 @@ def test_cones_are_brighter_by_the_gain_where_photos_end_at_white():
 
 
 def test_photos_are_explained_without_the_gain():
-    field, directions = gray_sky(), all_around(100_000)
+    field, directions = gray_sky(), all_around()
     near = torch.full((100,), PRESET.camera_near)
     before = field.render(-2 * directions[:100], directions[:100], near, near * math.inf).radiance
     field.freeze(-2 * directions, directions, directions @ UP[0] > 0.85)
@@ -64,7 +65,7 @@ def test_photos_are_explained_without_the_gain():
 @pytest.mark.parametrize(("share", "gain"), [(0.05, 3.0), (0.2, math.sqrt(3)), (0.4, 1.0)])
 def test_a_white_backdrop_is_hardly_brighter_than_white(share, gain):
     """White is in a cap that holds this share of all directions: a lamp, half of both, a backdrop."""
-    field, directions = gray_sky(), all_around(100_000)
+    field, directions = gray_sky(), all_around()
     field.freeze(-2 * directions, directions, directions @ UP[0] > 1 - 2 * share)
     assert radiance(field, UP, 0.1) == pytest.approx(gain, rel=0.03)
     assert radiance(field, DOWN, 0.2) == pytest.approx(1, rel=0.02)
@@ -72,19 +73,19 @@ def test_a_white_backdrop_is_hardly_brighter_than_white(share, gain):
 
 def test_the_ablation_leaves_it_at_white():
     preset = replace(PRESET, **ABLATIONS[AT_WHITE]["environment"])
-    field, directions = gray_sky(preset), all_around(100_000)
+    field, directions = gray_sky(preset), all_around()
     field.freeze(-2 * directions, directions, directions @ UP[0] > 0.85)
     assert radiance(field, UP, 0.2) == pytest.approx(1, rel=0.02)
 
 
 def test_light_that_other_photos_show_below_white_counts_less():
-    field, directions = gray_sky(), all_around(100_000)
-    field.freeze(-2 * directions, directions, (torch.arange(100_000) % 2 == 0) & (directions @ UP[0] > 0.7))
+    field, directions = gray_sky(), all_around()
+    field.freeze(-2 * directions, directions, (torch.arange(RAYS) % 2 == 0) & (directions @ UP[0] > 0.7))
     assert radiance(field, UP, 0.3) == pytest.approx(math.sqrt(3), rel=0.05)
 
 
 def test_a_saved_field_is_as_bright():
-    field, directions = gray_sky(), all_around(100_000)
+    field, directions = gray_sky(), all_around()
     field.refine(1.0)
     field.freeze(-2 * directions, directions, directions @ UP[0] > 0.85)
     restored = EnvironmentField(PRESET)

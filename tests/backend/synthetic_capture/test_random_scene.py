@@ -130,6 +130,7 @@ def built(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", OBJECT_KINDS)
 def test_the_object_is_closed_sized_and_stands_on_its_support(kind, built):
     for support in SUPPORTS:
