@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 
 import torch
 from scipy.ndimage import gaussian_filter
@@ -40,6 +41,17 @@ class SmallPhotos:
     def cameras(self) -> Tensor:
         """[views, 3] positions of the cameras."""
         return torch.stack([self.rays.camera(view)[0] for view in self.views])
+
+    @property
+    def half_angle(self) -> Tensor:
+        """[views] half angles of the cones of the small photos' pixels, in radians: those of the pixels in the middle."""
+        rays, sizes = self.rays, [self.rays.size[view] for view in self.views]
+        middle = [
+            rays.offset[view] + height // 2 * width + width // 2
+            for view, (height, width) in zip(self.views, sizes, strict=True)
+        ]
+        wider = torch.tensor([math.sqrt(height * width) / _ROWS for height, width in sizes], device=self.photos.device)
+        return rays.rays(torch.tensor(middle, device=self.photos.device)).half_angle * wider
 
     def details(self, fine: float) -> SmallPhotos:
         """The same photos without what changes slowly over them. What is left has both signs.

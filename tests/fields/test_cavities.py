@@ -9,10 +9,12 @@ from scipy import ndimage
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.rays.rigid_motions import RigidMotions
+from blender_nep.evidence.lids import Lid, ShownSurface, _without_holes
+from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.fields.object.field import ObjectField
 from blender_nep.fields.refinements import cavities as cavity_search
 from blender_nep.fields.refinements.cavities import CavityOpening, find_cavities
-from support.pot_scene import RADIUS, TOP, block, everywhere, in_cells, nowhere, pot, write_pot_scene
+from support.pot_scene import BOTTOM, RADIUS, TOP, block, everywhere, in_cells, nowhere, pipe, pot, sky, write_pot_scene
 
 CLOSED = in_cells(block)
 
@@ -21,8 +23,12 @@ def pixels(folder) -> PixelRays:
     return PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu"))
 
 
-def difference_for(rays: PixelRays, sdf: np.ndarray) -> np.ndarray:
-    return find_cavities(rays, sdf).difference
+def known_sky(rays):
+    return sky(rays.directions)
+
+
+def difference_for(rays: PixelRays, sdf: np.ndarray, background=known_sky) -> np.ndarray:
+    return find_cavities(rays, sdf, background).difference
 
 
 def of_thickness(wall: float):
@@ -64,6 +70,40 @@ def test_a_pot_with_gold_leaf_below_its_rim_is_opened(tmp_path):
     assert (found & cavity).sum() / (found | cavity).sum() > 0.8
 
 
+def test_a_pipe_is_opened_at_both_ends(tmp_path):
+    true = in_cells(lambda points: pipe(points, 0.1))
+    photos = pixels(write_pot_scene(tmp_path / "pipe", lambda points: pipe(points, 0.1)))
+    opened = CLOSED + difference_for(photos, CLOSED)
+    inside, body = (CLOSED < 0) & (true > 0), true < 0
+    found = (CLOSED < 0) & (opened > 0)
+    assert (found & inside).sum() / (found | inside).sum() > 0.85
+    assert (opened[body & (true < -0.02)] < 0).mean() > 0.98
+    field = ObjectField(64, 0.6)
+    field.start_from(torch.from_numpy(opened))
+    assert (field.sdf(torch.tensor([[0.0, 0.0, z] for z in (BOTTOM, -0.3, 0.0, 0.3, TOP)])) > 0.05).all()
+
+
+def test_a_lid_grows_over_the_rest_of_the_opening(tmp_path):
+    photos = pixels(write_pot_scene(tmp_path / "pipe", lambda points: pipe(points, 0.1)))
+    surface = ShownSurface(SmallPhotos(photos), CLOSED, known_sky)
+    x, y, z = (in_cells(lambda points, k=k: points[..., k]) for k in range(3))
+    mask, beside = surface.surface.mask, np.hypot(x, y)
+    top, floor = (mask & (z * side > TOP - 0.05) & (beside < RADIUS - 0.1) for side in (1, -1))
+    half = top & (x > 0)
+    lid = surface.lid(half, surface.volume_of(half), surface.volume_of(floor))
+    open_to, cells = cavity_search._grown(lid, surface, CLOSED, lid.above | lid.beyond, 0.1)
+    wall = mask & (beside > RADIUS - 0.05) & (np.abs(z) < TOP - 0.15)
+    assert (cells & top).sum() > 0.8 * top.sum() and (cells & wall).sum() < 0.01 * wall.sum()
+    assert (open_to & wall).sum() < 0.01 * wall.sum()
+
+
+def test_a_pipe_is_no_pipe_if_something_else_is_behind_it(tmp_path):
+    photos = pixels(write_pot_scene(tmp_path / "pipe", lambda points: pipe(points, 0.1)))
+    opened = CLOSED + difference_for(photos, CLOSED, lambda rays: torch.zeros_like(rays.directions))
+    floor = (CLOSED < 0) & (in_cells(lambda points: points[..., 2]) < BOTTOM + 0.03)
+    assert (opened[floor] < 0).all()
+
+
 @pytest.mark.parametrize("mirror", [nowhere, everywhere])
 def test_a_solid_body_stays_as_it_is(tmp_path, mirror):
     assert not difference_for(pixels(write_pot_scene(tmp_path / "block", block, mirror=mirror)), CLOSED).any()
@@ -78,7 +118,14 @@ def test_the_object_field_is_opened(tmp_path):
     rays = pixels(write_pot_scene(tmp_path / "pot", of_thickness(0.1)))
     field = ObjectField(64, 0.6)
     field.start_from(torch.from_numpy(CLOSED))
-    change = CavityOpening(0.5).apply(SimpleNamespace(object_field=field, rays=rays, on_device=torch.from_numpy))
+    change = CavityOpening(0.5).apply(
+        SimpleNamespace(
+            object_field=field,
+            rays=rays,
+            on_device=torch.from_numpy,
+            renderer=SimpleNamespace(background=known_sky),
+        )
+    )
     assert change.acted and change.found["parts_tried"] >= 1 and 0.2 < change.found["share"] < 0.9
     axis = torch.tensor([[0.0, 0.0, z] for z in (-0.3, 0.0, 0.3, 0.6)])
     assert (field.sdf(axis) > 0.05).all()
@@ -113,15 +160,17 @@ def test_lid_and_inside_are_compared_in_the_same_photos(on_the_lid, opens):
             return inside[:, : len(points)]
 
     down = torch.tensor([[0.0, 0.0, -1.0]]).expand(20, 3)
-    lid = cavity_search._Lid(
+    lid = Lid(
         cells=CLOSED < 0,
         above=CLOSED > 0,
+        beyond=CLOSED > 2,
         origins=torch.stack([torch.linspace(-0.3, 0.3, 20), torch.zeros(20), torch.full((20,), 2.0)], 1),
         directions=down,
         distance=torch.full((20,), 2.0 - TOP),
         colors=torch.full((20, 3), 0.2),
         shown=shown,
         difference=torch.full((20,), 0.4),
+        behind=torch.full((20,), 0.4),
     )
     assert cavity_search._trial(lid, Photos(), in_cells(of_thickness(0.1))).agrees == opens
 
@@ -131,6 +180,6 @@ def test_a_point_of_the_lid_on_which_photos_agree_is_the_lids():
     x, y, z = (in_cells(lambda points, k=k: points[..., k]) for k in range(3))
     top = surface & (z > TOP - 0.05) & (np.hypot(x, y) < 0.45)
     ring = top & (np.hypot(x - 0.1, y) > 0.2)
-    np.testing.assert_array_equal(cavity_search._without_holes(ring, surface), top)
+    np.testing.assert_array_equal(_without_holes(ring, surface), top)
     beside = top & (x > -0.2)  # not enclosed by the lid
-    np.testing.assert_array_equal(cavity_search._without_holes(beside, surface), beside)
+    np.testing.assert_array_equal(_without_holes(beside, surface), beside)

@@ -128,7 +128,7 @@ def test_a_resumed_driver_goes_on():
 
 def test_each_refinement_can_be_switched_off_alone(monkeypatch):
     """A search for cavities takes longer than all others together; here it finds none."""
-    monkeypatch.setattr(cavities, "find_cavities", lambda rays, sdf: cavities.Cavities(np.zeros_like(sdf), 0))
+    monkeypatch.setattr(cavities, "find_cavities", lambda rays, sdf, background: cavities.Cavities(np.zeros_like(sdf), 0))
     rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 500, False, torch.device("cpu"))
     names = [refinement.name for refinement in refinements_of(FieldsPreset())]
     assert len(set(names)) == len(names)

@@ -31,6 +31,11 @@ def pot(points: np.ndarray, wall: float) -> np.ndarray:
     return np.maximum(block(points), -inside)
 
 
+def pipe(points: np.ndarray, wall: float) -> np.ndarray:
+    """Signed distance [...] of points [..., 3] from the same cylinder, hollow and open at both ends."""
+    return np.maximum(block(points), RADIUS - wall - np.hypot(points[..., 0], points[..., 1]))
+
+
 def in_cells(distance) -> np.ndarray:
     """A distance function at the centers of the cells of [-1, 1]^3: [64, 64, 64] float32."""
     return distance(np.stack(np.meshgrid(AXIS, AXIS, AXIS, indexing="ij"), -1)).astype(np.float32)
@@ -40,6 +45,11 @@ def paint(points: np.ndarray) -> np.ndarray:
     """Linear radiance [n, 3] of points [n, 3] of a painted surface; the same from all sides."""
     x, y, z = 4 * points.T
     return np.stack([0.4 + 0.3 * np.sin(x), 0.4 + 0.3 * np.cos(y + z), 0.3 + 0.25 * np.sin(z - x)], 1)
+
+
+def sky(directions):
+    """Linear radiance [n, 3] of what is behind the body, far away, in directions [n, 3]: an array or a tensor."""
+    return 0.3 + 0.2 * (3 * directions).sin() if hasattr(directions, "sin") else 0.3 + 0.2 * np.sin(3 * directions)
 
 
 def everywhere(points: np.ndarray) -> np.ndarray:
@@ -69,7 +79,7 @@ def write_pot_scene(folder: Path, distance, *, mirror=nowhere, painted=paint, mi
         reflected = directions - 2 * (directions * normals).sum(1, keepdims=True) * normals
         points = origins + np.where(hit, t, 0)[:, None] * directions
         seen = np.where(mirror(points)[:, None], mirrored(1.5 * reflected), painted(points))
-        color = np.where(hit[:, None], seen, 0.3 + 0.2 * np.sin(3 * directions))
+        color = np.where(hit[:, None], seen, sky(directions))
         write_exr(folder / "images" / f"{k}.exr", color.reshape(SIZE, SIZE, 3))
         frames.append({"file_path": f"images/{k}.exr", "transform_matrix": matrix.tolist()})
     meta = {

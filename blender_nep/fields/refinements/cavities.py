@@ -7,13 +7,16 @@ So the parts of the surface on which the photos disagree are tried as lids. The 
 is a vessel: a wall of one thickness, and nothing within. It is kept if the photos agree on its inside, and much better than
 the same photos do on the lid. They do not agree on what is behind a mirror.
 
+A bracelet and a lampshade have two openings, and light comes through. So the side that faces away from the lid is tried as a
+second lid. Such a tube is kept if F_e explains what is seen through it much better than the lid does. Patches around the lid
+are opened, too, as long as the photos are explained better without them.
+
 The wall need not be exactly right, because learning goes on afterwards.
 """
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,41 +25,37 @@ from scipy import ndimage
 from torch import Tensor
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
-from blender_nep.evidence.agreement import difference, median_of_photos, views_that_show
+from blender_nep.evidence.agreement import median_of_photos, views_that_show
+from blender_nep.evidence.lids import LEAST_VIEWS, Background, Lid, ShownSurface
 from blender_nep.evidence.sdf_grid import SdfGrid, distances_to
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.fields.refinements.refinement import Change
 from blender_nep.fields.stage import StageOne
+from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.messages import Message, Part
 from blender_nep.profiling import profiled
 
-DISAGREE = 1.6
-"""A part of the surface may be a lid if the photos differ there by so many times the median of the whole surface."""
-LEAST_LID, MOST_LIDS = 0.03, 6
-"""Smallest area of a lid in squared object radii (a disc of 0.1 radii), and largest number of lids that are tried."""
-FACING_ONE_WAY = 0.55
-"""A part of a surface faces along an axis if the cosine between its normal and the axis is at least this. It is less than
-1 / sqrt(3), so that every normal faces along an axis."""
-SAME = 0.8
-"""A part of the surface that shares this much with a larger one is not tried again."""
-CLOSE = 0.1
-"""Gaps of a lid up to twice this width belong to it, in object radii: photos happen to agree in some places of a lid."""
 WALLS = (0.04, 0.08, 0.16)
 """Thicknesses of the wall that are tried first, in object radii."""
 FINER, THINNEST = (0.75, 1.25), 0.02
 """Then, the best thickness is changed by these factors as long as that helps, down to THINNEST."""
-RIM = 0.9
-"""Share of a lid's cells that lie below its rim, along its mean normal."""
 LEAST_GAIN = 0.7
 """The photos must differ from the colors of the inside by less than this share of what they differ from the lid's."""
 MOST_DIFFERENCE = 0.1
 """And by less than this (tone-mapped)."""
 LEAST_KNOWN, LEAST_MOVED = 0.3, 0.25
 """Share of the pixels behind the lid whose color is known, and share of the lid's pixels that see what is behind it."""
-LEAST_VIEWS = 4
-"""A color of the surface is known if at least so many photos show it."""
-_PIXELS = 2000
-"""Largest number of a lid's pixels that are compared."""
+LEAST_THROUGH, MOST_BEHIND = 0.05, 0.5
+"""A tube counts if at least this share of the lid's pixels see through it, and if what is behind the object explains these
+pixels with less than this share of the lid's difference. It is 0.3 on a gold cape, and at least 0.9 on solid objects."""
+PATCH = 0.12
+"""The patches by which the lid of a tube grows are wider by this than two walls, in object radii. Smaller ones open nothing,
+because a wall has its thickness towards all that is still closed."""
+MOST_OF_PATCH = 0.9
+"""A patch belongs to the lid if the error of its pixels is below this share without it. It is 0.7 to 0.9 for parts of the
+lid of a gold cape, and at least 1.04 for the gold."""
+PIXELS_OF_PATCH, LEAST_OF_PATCH = 600, 50
+"""Largest and smallest number of pixels by which a patch is judged"""
 
 
 class CavityOpening:
@@ -74,7 +73,7 @@ class CavityOpening:
     @torch.no_grad()
     def apply(self, stage: StageOne) -> Change:
         sdf = stage.object_field.sdf_in_cells()
-        found = find_cavities(stage.rays, sdf)
+        found = find_cavities(stage.rays, sdf, stage.renderer.background)
         if not found.difference.any():
             return Change(False, {"parts_tried": found.lids})
         stage.object_field.add(stage.on_device(found.difference))
@@ -92,154 +91,107 @@ class Cavities(NamedTuple):
 
 
 @profiled("cavities")
-def find_cavities(rays: PixelRays, sdf: np.ndarray) -> Cavities:
+def find_cavities(rays: PixelRays, sdf: np.ndarray, background: Background) -> Cavities:
     """The cavities of an object with the SDF [n, n, n].
 
     The SDF belongs to the centers of n^3 cells of [-1, 1]^3, in radii of the object's sphere.
     """
-    photos, opened = SmallPhotos(rays), sdf
-    lids = _lids(photos, sdf)
+    opened = sdf
+    try:
+        surface = ShownSurface(SmallPhotos(rays), sdf, background)
+    except ValueError:  # there is no surface
+        return Cavities(np.zeros_like(sdf), 0)
+    lids = surface.lids()
     for lid in lids:
-        opened = np.maximum(opened, _inside_behind(lid, photos, opened))
+        opened = np.maximum(opened, _inside_behind(lid, surface, opened))
     return Cavities(opened - sdf, len(lids))
 
 
-@dataclass
-class _Lid:
-    """A part of the surface that may cover a cavity, and the pixels [k] that show it."""
-
-    cells: np.ndarray
-    """[n, n, n] bool: cells of the surface that belong to the lid"""
-    above: np.ndarray
-    """[n, n, n] bool: cells that lie above the lid, and not beside the object. A wall has no thickness towards them."""
-    origins: Tensor
-    """[k, 3] the cameras"""
-    directions: Tensor
-    """[k, 3] unit vectors"""
-    distance: Tensor
-    """[k] from the camera to the lid"""
-    colors: Tensor
-    """[k, 3] tone-mapped colors of the pixels"""
-    shown: Tensor
-    """[views, k, 3] tone-mapped colors of the lid's points in all photos; NaN where a photo does not show the point"""
-    difference: Tensor
-    """[k] how much the pixels differ from the color of the lid"""
-
-
-def _lids(photos: SmallPhotos, sdf: np.ndarray) -> list[_Lid]:
-    """The parts of the surface on whose colors the photos disagree, largest first."""
-    grid = SdfGrid(sdf)
-    shape = grid.traced_mesh()
-    if shape is None:
-        return []
-    surface, cameras = grid.surface(), photos.cameras.cpu()
-    points, normals = torch.from_numpy(surface.points), surface.normals
-    colors = photos.surface_colors(points, torch.from_numpy(normals), shape, inexact=grid.cell)
-    median, known = median_of_photos(colors), views_that_show(colors) >= LEAST_VIEWS
-    differs = difference(colors, median)
-    if not known.any():
-        return []
-    disagree = (known & (differs > DISAGREE * differs[known].median())).numpy()
-    nearest = ndimage.distance_transform_edt(~surface.mask, return_distances=False, return_indices=True)
-    lids = []
-    for part in _parts(surface.place[disagree], normals[disagree], len(sdf)):
-        cells = _without_holes(_closed(part, round(CLOSE / grid.cell)) & surface.mask, surface.mask)
-        row = torch.from_numpy(np.flatnonzero(cells[surface.mask]))
-        view, each = torch.isfinite(colors[:, row, 0]).nonzero().T
-        chosen = torch.randperm(len(view), generator=torch.Generator().manual_seed(0))[:_PIXELS]
-        view, each = view[chosen], row[each[chosen]]
-        color, away = colors[view, each], points[each] - cameras[view]
-        distance = away.norm(dim=-1)
-        directions = away / distance[:, None]
-        lids.append(
-            _Lid(
-                cells,
-                cells[tuple(nearest)] | _above(cells, normals[row.numpy()]),
-                cameras[view],
-                directions,
-                distance,
-                color,
-                colors[:, each],
-                (color - median[each]).abs().mean(-1),
-            )
-        )
-    return lids
-
-
-def _parts(place: np.ndarray, normals: np.ndarray, n: int) -> list[np.ndarray]:
-    """Connected parts [n, n, n] bool of the cells place [k, 3] that face one way, largest first, at most MOST_LIDS.
-
-    An opening faces one way. So what photos disagree on beside the lid, such as gold leaf on the outside of a pot, is not
-    joined to the lid. A part may be in two of the list, because the six ways overlap.
-    """
-    found = []
-    for axis, sign in itertools.product(range(3), (1, -1)):
-        cells = np.zeros((n, n, n), bool)
-        cells[tuple(place[sign * normals[:, axis] > FACING_ONE_WAY].T)] = True
-        labels, count = ndimage.label(ndimage.binary_dilation(cells))
-        areas = np.bincount((labels * cells).ravel(), minlength=count + 1) * (2 / n) ** 2
-        areas[0] = 0
-        found += [(area, labels == label) for label, area in enumerate(areas) if area >= LEAST_LID]
-    found.sort(key=lambda part: -part[0])
-    parts: list[np.ndarray] = []
-    for _, cells in found:
-        if len(parts) < MOST_LIDS and not any((cells & part).sum() > SAME * cells.sum() for part in parts):
-            parts.append(cells)
-    return parts
-
-
-def _closed(cells: np.ndarray, by: int) -> np.ndarray:
-    """The cells [n, n, n] bool with their gaps up to 2 `by` cells wide, also at the border of the grid."""
-    return ndimage.binary_closing(np.pad(cells, by), iterations=by)[(slice(by, -by),) * 3]
-
-
-def _without_holes(cells: np.ndarray, surface: np.ndarray) -> np.ndarray:
-    """A lid [n, n, n] and the parts of the surface [n, n, n] that it encloses, where the photos happen to agree."""
-    rest, _ = ndimage.label(surface & ~cells, np.ones((3, 3, 3)))
-    sizes = np.bincount(rest.ravel())
-    sizes[0] = 0
-    touched = np.unique(rest[ndimage.binary_dilation(cells)])
-    holes = touched[(touched > 0) & (touched != sizes.argmax()) & (sizes[touched] < cells.sum())]
-    return cells | np.isin(rest, holes)
-
-
-def _above(cells: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The cells [n, n, n] above the rim of a lid with cells [n, n, n] and normals [k, 3]: above its highest cells.
-
-    The rim of a thick wall is no part of the lid, but what lies above it lies above the lid.
-    """
-    up, n = normals.mean(0), len(cells)
-    axis = np.arange(n)
-    height = up[0] * axis[:, None, None] + up[1] * axis[:, None] + up[2] * axis
-    return height > np.quantile(height[cells], RIM)
-
-
-def _inside_behind(lid: _Lid, photos: SmallPhotos, sdf: np.ndarray) -> np.ndarray:
-    """How far the cells [n, n, n] are inside of the best vessel behind the lid; -inf if there is none.
+def _inside_behind(lid: Lid, surface: ShownSurface, sdf: np.ndarray) -> np.ndarray:
+    """How far the cells [n, n, n] are inside of the best vessel or tube behind the lid; -inf if there is none.
 
     Positive inside. With what lies above the lid, because the lid would stay as a thin sheet else.
     """
-    grid = SdfGrid(sdf)
-    depth, box = np.full(sdf.shape, -0.5 * grid.cell), _bounding_box(grid.solid)
-    depth[box] = distances_to(~(grid.solid | lid.above)[box], grid.cell)
+    forms = [_best_form(lid, surface, sdf, through) for through in (False, True)]
+    found = [form for form in forms if form is not None]
+    if not found:
+        return np.full(sdf.shape, -np.inf, np.float32)
+    return min(found, key=lambda form: form.error).inside
+
+
+class _Form(NamedTuple):
+    """A vessel or a tube that the photos accept."""
+
+    error: float
+    """That of its `_Trial`"""
+    inside: np.ndarray
+    """[n, n, n] how far the cells are inside; -inf outside"""
+
+
+def _best_form(lid: Lid, surface: ShownSurface, sdf: np.ndarray, through: bool) -> _Form | None:
+    """The vessel behind the lid, or the tube (`through`), whose wall has the best thickness. None if the photos deny it."""
+    grid, photos = SdfGrid(sdf), surface.photos
+    open_to, cells = lid.above | lid.beyond if through else lid.above, lid.cells
+    depth = _depth(grid, open_to)
     trials: dict[float, _Trial] = {}
 
     def error(wall: float) -> float:
         if wall not in trials:
-            trials[wall] = _trial(lid, photos, np.maximum(sdf, depth - wall))
+            trials[wall] = _trial(lid, photos, np.maximum(sdf, depth - wall), through)
         return trials[wall].error
 
-    nothing = np.full(sdf.shape, -np.inf, np.float32)
+    if through and math.isinf(error(WALLS[0])):  # most objects are no tubes, so one trial must do
+        return None
     wall = min(WALLS, key=error)
     if error(wall) >= float(lid.difference.mean()):
-        return nothing
+        return None
     while error(better := min((max(wall * factor, THINNEST) for factor in FINER), key=error)) < error(wall):
         wall = better
     if not trials[wall].agrees:
-        return nothing
+        return None
+    if through:
+        open_to, cells = _grown(lid, surface, sdf, open_to, wall)
+        depth = _depth(grid, open_to)
     labels, _ = ndimage.label(depth > wall)
-    inside = np.isin(labels, np.unique(labels[lid.cells & (labels > 0)]))
-    return np.where(inside, ndimage.gaussian_filter(depth, 1.0) - wall, -np.inf).astype(np.float32)
+    inside = np.isin(labels, np.unique(labels[cells & (labels > 0)]))
+    smooth = np.where(inside, ndimage.gaussian_filter(depth, 1.0) - wall, -np.inf)
+    return _Form(error(wall), smooth.astype(np.float32))
+
+
+def _depth(grid: SdfGrid, open_to: np.ndarray) -> np.ndarray:
+    """How deep the cells [n, n, n] lie below the surface, without its parts towards the cells open_to [n, n, n] bool."""
+    depth, box = np.full(grid.values.shape, -0.5 * grid.cell), _bounding_box(grid.solid)
+    depth[box] = distances_to(~(grid.solid | open_to)[box], grid.cell)
+    return depth
+
+
+def _grown(
+    lid: Lid, surface: ShownSurface, sdf: np.ndarray, open_to: np.ndarray, wall: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a tube is open to, and the cells of its lid, with the patches around it that are better explained without them.
+
+    The photos happen to agree on some parts of a lid that face another way than the rest.
+    """
+    grid, cells = SdfGrid(sdf), lid.cells
+    left = [
+        patch for patch in surface.patches(PATCH + 2 * wall) if not (patch & (open_to | cells)).sum() > 0.5 * patch.sum()
+    ]
+    tried = True
+    while tried:
+        tried = False
+        around = ndimage.binary_dilation(cells, iterations=3)
+        for patch in [patch for patch in left if (patch & around).any()]:
+            own = surface.lid(patch, surface.volume_of(patch), np.zeros_like(patch), PIXELS_OF_PATCH)
+            without = np.maximum(sdf, _depth(grid, open_to | own.above) - wall)
+            shape = SdfGrid(without).traced_mesh()
+            if shape is None or len(own.distance) < LEAST_OF_PATCH:
+                continue
+            seen = _sight(own, surface.photos, shape, grid.cell)
+            opens = float((seen.clear | seen.moved).float().mean()) >= LEAST_MOVED
+            if opens and seen.left(own, True).mean() < MOST_OF_PATCH * own.difference.mean():
+                open_to, cells, tried = open_to | own.above, cells | patch, True
+                left = [other for other in left if other is not patch]
+    return open_to, cells
 
 
 def _bounding_box(cells: np.ndarray, margin: int = 4) -> tuple[slice, ...]:
@@ -249,25 +201,33 @@ def _bounding_box(cells: np.ndarray, margin: int = 4) -> tuple[slice, ...]:
     )
 
 
-class _Trial(NamedTuple):
-    error: float
-    """Mean difference of the lid's pixels from the colors of the vessel; infinity if hardly a pixel sees its inside"""
-    agrees: bool
-    """Whether the photos agree on the inside"""
+class _Sight(NamedTuple):
+    """What the k pixels of a lid see behind it."""
+
+    clear: Tensor
+    """[k] bool: those that see through the object"""
+    moved: Tensor
+    """[k] bool: those that see another part of it, m pixels"""
+    known: Tensor
+    """[m] bool: those of them on whose colors some photos can agree"""
+    before: Tensor
+    """[m] how much they differ from the lid"""
+    after: Tensor
+    """[m] how much they differ from what they see, compared in the same photos"""
+
+    def left(self, lid: Lid, through: bool) -> Tensor:
+        """How much the pixels [k] differ from what they see. Without `through`, nothing is known of the clear ones."""
+        left = lid.difference.clone()
+        if through:
+            left[self.clear] = lid.behind[self.clear]
+        left[self.moved.nonzero().squeeze(1)[self.known]] = self.after[self.known]
+        return left
 
 
-def _trial(lid: _Lid, photos: SmallPhotos, vessel: np.ndarray) -> _Trial:
-    """Try a vessel (SDF [n, n, n]) behind the lid."""
-    nothing = _Trial(float("inf"), False)
-    grid = SdfGrid(vessel)
-    shape = grid.traced_mesh()
-    if shape is None:
-        return nothing
+def _sight(lid: Lid, photos: SmallPhotos, shape: RayTracer, cell: float) -> _Sight:
     distance, face, _ = shape.intersect(lid.origins.numpy(), lid.directions.numpy())
-    distance, cell = torch.from_numpy(distance), grid.cell
+    distance = torch.from_numpy(distance)
     moved = distance.isfinite() & (distance > lid.distance + 1.5 * cell)
-    if moved.float().mean() < LEAST_MOVED:
-        return nothing
     points = (lid.origins + distance[:, None] * lid.directions)[moved]
     normals = torch.from_numpy(shape.face_normals[face[moved.numpy()]])
     normals = normals * -torch.sign((normals * lid.directions[moved]).sum(-1, keepdim=True))
@@ -275,8 +235,32 @@ def _trial(lid: _Lid, photos: SmallPhotos, vessel: np.ndarray) -> _Trial:
     both = torch.isfinite(inside + outside)  # Few photos show the inside. Fewer photos agree better on any colors.
     inside, outside = (torch.where(both, colors, torch.nan) for colors in (inside, outside))
     known = views_that_show(inside) >= LEAST_VIEWS
-    before, after = ((lid.colors[moved] - median_of_photos(colors)).abs().mean(-1)[known] for colors in (outside, inside))
-    agrees = float(after.mean()) < min(LEAST_GAIN * float(before.mean()), MOST_DIFFERENCE)
-    left = lid.difference.clone()
-    left[moved.nonzero().squeeze(1)[known]] = after
-    return _Trial(float(left.mean()), agrees and float(known.float().mean()) >= LEAST_KNOWN)
+    before, after = ((lid.colors[moved] - median_of_photos(colors)).abs().mean(-1) for colors in (outside, inside))
+    return _Sight(distance.isinf(), moved, known, before, after)
+
+
+class _Trial(NamedTuple):
+    error: float
+    """Mean difference of the lid's pixels from the colors of the vessel; infinity if hardly a pixel sees its inside"""
+    agrees: bool
+    """Whether the photos agree on the inside"""
+
+
+def _trial(lid: Lid, photos: SmallPhotos, vessel: np.ndarray, through: bool = False) -> _Trial:
+    """Try a vessel (SDF [n, n, n]) behind the lid. `through`: it is a tube, through which pixels see what is behind it."""
+    nothing = _Trial(float("inf"), False)
+    grid = SdfGrid(vessel)
+    shape = grid.traced_mesh()
+    if shape is None:
+        return nothing
+    seen = _sight(lid, photos, shape, grid.cell)
+    if seen.moved.float().mean() < LEAST_MOVED:
+        return nothing
+    error = float(seen.left(lid, through).mean())
+    if through:
+        lid_there, behind = (float(part[seen.clear].mean()) for part in (lid.difference, lid.behind))
+        clear = float(seen.clear.float().mean()) >= LEAST_THROUGH and behind <= MOST_BEHIND * lid_there
+        return _Trial(error, True) if clear else nothing
+    before, after = (float(part[seen.known].mean()) for part in (seen.before, seen.after))
+    agrees = after < min(LEAST_GAIN * before, MOST_DIFFERENCE)
+    return _Trial(error, agrees and float(seen.known.float().mean()) >= LEAST_KNOWN)
