@@ -48,6 +48,8 @@ LEAST_KNOWN, LEAST_MOVED = 0.3, 0.25
 LEAST_THROUGH, MOST_BEHIND = 0.05, 0.5
 """A tube counts if at least this share of the lid's pixels see through it, and if what is behind the object explains these
 pixels with less than this share of the lid's difference. It is 0.3 on a gold cape, and at least 0.9 on solid objects."""
+MOST_OF_TUBE = 0.85
+"""The error of a tube must be below this share of the lid's. It is 0.55 to 0.8 on a gold cape."""
 PATCH = 0.12
 """The patches by which the lid of a tube grows are wider by this than two walls, in object radii. Smaller ones open nothing,
 because a wall has its thickness towards all that is still closed."""
@@ -103,20 +105,18 @@ def find_cavities(rays: PixelRays, sdf: np.ndarray, background: Background) -> C
         return Cavities(np.zeros_like(sdf), 0)
     lids = surface.lids()
     for lid in lids:
-        opened = np.maximum(opened, _inside_behind(lid, surface, opened))
+        found = _form_behind(lid, surface, opened)
+        if found is not None:
+            opened = np.maximum(opened, found.inside)
+            if found.through:  # through an open tube, pixels of other parts see what is behind it, too
+                break
     return Cavities(opened - sdf, len(lids))
 
 
-def _inside_behind(lid: Lid, surface: ShownSurface, sdf: np.ndarray) -> np.ndarray:
-    """How far the cells [n, n, n] are inside of the best vessel or tube behind the lid; -inf if there is none.
-
-    Positive inside. With what lies above the lid, because the lid would stay as a thin sheet else.
-    """
+def _form_behind(lid: Lid, surface: ShownSurface, sdf: np.ndarray) -> _Form | None:
+    """The best vessel or tube behind the lid. None if there is none."""
     forms = [_best_form(lid, surface, sdf, through) for through in (False, True)]
-    found = [form for form in forms if form is not None]
-    if not found:
-        return np.full(sdf.shape, -np.inf, np.float32)
-    return min(found, key=lambda form: form.error).inside
+    return min((form for form in forms if form is not None), key=lambda form: form.error, default=None)
 
 
 class _Form(NamedTuple):
@@ -125,7 +125,10 @@ class _Form(NamedTuple):
     error: float
     """That of its `_Trial`"""
     inside: np.ndarray
-    """[n, n, n] how far the cells are inside; -inf outside"""
+    """[n, n, n] how far the cells are inside; -inf outside. With what lies above the lid, because the lid would stay as a
+    thin sheet else"""
+    through: bool
+    """Whether it is a tube"""
 
 
 def _best_form(lid: Lid, surface: ShownSurface, sdf: np.ndarray, through: bool) -> _Form | None:
@@ -143,11 +146,12 @@ def _best_form(lid: Lid, surface: ShownSurface, sdf: np.ndarray, through: bool) 
     if through and math.isinf(error(WALLS[0])):  # most objects are no tubes, so one trial must do
         return None
     wall = min(WALLS, key=error)
-    if error(wall) >= float(lid.difference.mean()):
+    of_lid = float(lid.difference.mean())
+    if error(wall) >= of_lid:
         return None
     while error(better := min((max(wall * factor, THINNEST) for factor in FINER), key=error)) < error(wall):
         wall = better
-    if not trials[wall].agrees:
+    if not trials[wall].agrees or (through and error(wall) > MOST_OF_TUBE * of_lid):
         return None
     if through:
         open_to, cells = _grown(lid, surface, sdf, open_to, wall)
@@ -155,7 +159,7 @@ def _best_form(lid: Lid, surface: ShownSurface, sdf: np.ndarray, through: bool) 
     labels, _ = ndimage.label(depth > wall)
     inside = np.isin(labels, np.unique(labels[cells & (labels > 0)]))
     smooth = np.where(inside, ndimage.gaussian_filter(depth, 1.0) - wall, -np.inf)
-    return _Form(error(wall), smooth.astype(np.float32))
+    return _Form(error(wall), smooth.astype(np.float32), through)
 
 
 def _depth(grid: SdfGrid, open_to: np.ndarray) -> np.ndarray:
