@@ -31,6 +31,7 @@ class Part(StrEnum):
     UNSEEN_LIGHT = "unseen light"
     CAMERA_RESPONSE = "camera response"
     OBJECT_GAINS = "object gains"
+    PHOTOGRAPHER = "photographer"
     FURTHER_STEPS = "further steps of both fields"
     MATERIAL_BOUNDARIES = "material boundaries"
     VARIED_MATERIALS = "materials that vary from place to place"
@@ -123,6 +124,7 @@ PARTS: dict[str, str] = {
     Part.UNSEEN_LIGHT: "light that no photo shows",
     Part.CAMERA_RESPONSE: "the camera's tone curve",
     Part.OBJECT_GAINS: "evening out how bright the object is from photo to photo",
+    Part.PHOTOGRAPHER: "the photographer in the reflections",
     Part.FURTHER_STEPS: "the rest of learning shape and light",
     Part.MATERIAL_BOUNDARIES: "boundaries between materials",
     Part.VARIED_MATERIALS: "materials that vary from place to place",
@@ -465,6 +467,8 @@ WORDS: dict[str, str] = {
     "reason.curve_told": "the photos' exposures have told it before",
     "reason.equally_bright": "it is as bright in all photos",
     "reason.object_turned": "the object turned in its light",
+    "reason.nobody_knows_up": "the cameras do not tell what is up",
+    "reason.no_photographer": "the photos show nobody who takes light",
     "reason.linear_photos": "the photos hold linear values",
     "reason.no_tone_curve": "the photos show none",
     "reason.light_not_shown": "the photos show too little of the light",

@@ -38,6 +38,7 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     AT_WHITE: {"environment": {"burnt_gain": 1.0}},
     "no camera response": {"material": {"camera_response": False}},
     "no object gains": {"material": {"object_gains": False}},
+    "no photographer": {"material": {"photographer": False}},
     "no smooth classes": {"material": {"unclear_classes": float("inf")}},
     "metals of any brightness": {"material": {"metals_are_bright": 0.0}},
     "no unseen light": {"material": {"learn_unseen_light": False}},

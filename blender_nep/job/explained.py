@@ -94,6 +94,7 @@ def explained(
     from blender_nep.geometry.ray_tracing import RayTracer
     from blender_nep.materials.explained_photos import OF_HITS, NoRadiance, TexturedSurface, explain_photos
     from blender_nep.shading.light_of_photos import LightOfPhotos
+    from blender_nep.shading.photographer import Photographer, up_of
     from blender_nep.shading.plenoptic import PlenopticFunction
     from blender_nep.support.light import SupportLight
 
@@ -108,5 +109,7 @@ def explained(
     scored = rays if held_out is None else held_out
     every = fitted_to_widths(preset.fields, rays).held_out_every if held_out is None else 1
     gain = materials.object_gain if held_out is None else None
-    found = explain_photos(asset, f_p, light, scored, every, held_out is not None, seed, curve, gain)
+    strength, up = materials.report.get("photographer", 0.0), up_of(rays.cameras()[1])
+    person = Photographer(strength, up) if strength and up is not None else None
+    found = explain_photos(asset, f_p, light, scored, every, held_out is not None, seed, curve, gain, person)
     return ExplainedReport(found, hold_out)

@@ -33,6 +33,7 @@ class StageReportView:
             acted=(
                 *((Part.CAMERA_RESPONSE,) if "response" in report else ()),
                 *((Part.OBJECT_GAINS,) if "object_gains" in report else ()),
+                *((Part.PHOTOGRAPHER,) if "photographer" in report else ()),
                 *(name for name, entry in entries.items() if "acted" in entry),
             ),
         )

@@ -30,6 +30,7 @@ from blender_nep.materials.samples.photo_samples import beside_surface, edges_an
 from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, specular_cones
+from blender_nep.shading.photographer import Photographer
 from blender_nep.shading.plenoptic import (
     Material,
     PlenopticFunction,
@@ -109,6 +110,7 @@ def explain_photos(
     seed: int,
     response: ResponseCurve | None = None,
     object_gain: Tensor | None = None,
+    photographer: Photographer | None = None,
 ) -> Explained:
     """Score one of `every` pixels of the photos, at most _PIXELS of the object and as many beside it.
 
@@ -117,6 +119,7 @@ def explain_photos(
 
     `response` is the camera's response curve, which photos and F_e have, and the asset has not. None: there is none.
     object_gain [views]: how much brighter the object is in each photo than in the others. None: it is as bright in all.
+    `photographer` takes light from the object. None: nobody does.
     """
     random = np.random.default_rng(seed)
     index = _drawn(rays.sphere, every, _TRIED * _PIXELS, random)
@@ -149,7 +152,7 @@ def explain_photos(
     of_asset = np.zeros((len(index), 3), np.float32)
     shown = torch.from_numpy(seen).to(device)
     points = f_p.points(face[seen], barycentric[seen], -bundle.directions[shown], bundle.motion_of(shown))
-    light = _radiance(asset, f_p, points, torch.from_numpy(variance[seen]).float().to(device), generator)
+    light = _radiance(asset, f_p, points, torch.from_numpy(variance[seen]).float().to(device), generator, photographer)
     of_asset[seen] = (light if response is None else response.photo(light)).cpu()
     missed = chosen[~hit[chosen]]
     of_asset[missed] = behind(environment, rays, index[torch.from_numpy(missed).to(device)])
@@ -234,7 +237,12 @@ def behind(environment: EnvironmentField, rays: PixelRays, index: Tensor) -> np.
 
 
 def _radiance(
-    asset: TexturedSurface, f_p: PlenopticFunction, points: SurfacePoints, variance: Tensor, generator: torch.Generator
+    asset: TexturedSurface,
+    f_p: PlenopticFunction,
+    points: SurfacePoints,
+    variance: Tensor,
+    generator: torch.Generator,
+    photographer: Photographer | None,
 ) -> Tensor:
     """Radiance [n, 3] that the asset sends to the eye at n points.
 
@@ -251,6 +259,8 @@ def _radiance(
     each = torch.arange(n, device=device).repeat_interleave(_SPECULAR + _DIFFUSE)
     half_angle = torch.cat([angle, wide], 1).reshape(-1)
     light = f_p.incoming(points[each], directions, half_angle, asset.materials_at, 1, generator)
+    if photographer is not None:
+        light = light * photographer.left(directions, points.view[each])[:, None]
     light = light.reshape(n, _SPECULAR + _DIFFUSE, 3)
     mirrored, irradiance = light[:, :_SPECULAR], light[:, _SPECULAR:].mean(1)
     moments = SpecularMoments(*((w[..., None] * mirrored).sum(1) for w in moment_weights(weight, cos_vh)))

@@ -40,6 +40,7 @@ from blender_nep.materials.palette.palette import Palette
 from blender_nep.materials.palette.search import PaletteSearch
 from blender_nep.materials.photo_gains import gains_of_photos
 from blender_nep.materials.samples.light_gathering import Observations, gathered_light
+from blender_nep.materials.samples.photographer import found_strength
 from blender_nep.materials.segments.varied_learning import FoundVaried, VariedLearning
 from blender_nep.materials.shown_faces import ShownParts
 from blender_nep.materials.training_progress import TrainingProgress
@@ -207,11 +208,13 @@ class _MaterialLearner:
         self.found = self.search.one()
         single = self._residual()
         self._grow_palette()
+        self._find_photographer()
         for k in range(preset.rounds):
             self._find_unseen_light()
             if self._turned:  # photos showed hardly any of the light that the object has reflected to itself so far
                 self._reflect_itself()
             self._grow_palette()
+            self._find_photographer()
             self.progress.step(75 + 5 * k)
         self._reflect_itself()
         for k in range(preset.rounds):
@@ -244,6 +247,26 @@ class _MaterialLearner:
         samples = replace(search.samples, radiance=radiance)
         self.seen = replace(self.seen, samples=samples, rays=rays.with_object_gain(whole))
         self.search = replace(search, samples=samples)
+
+    def _find_photographer(self) -> None:
+        """Find how much light the person who takes the photos takes, and take it away."""
+        if not self.preset.photographer:
+            self._skip(Part.PHOTOGRAPHER, Message("reason.preset"))
+            return
+        if self._turned:  # what stands still beside a turntable is a part of its light
+            self._skip(Part.PHOTOGRAPHER, Message("reason.object_turned"))
+            return
+        if self.seen.up is None or not self.light.in_photos:
+            why = "reason.nobody_knows_up" if self.seen.up is None else "reason.light_not_shown"
+            self._skip(Part.PHOTOGRAPHER, Message(why))
+            return
+        strength, self.report.photographer_errors = found_strength(self.search.samples, self.light, self.preset)
+        if strength:
+            self.report.photographer += strength
+            self.search = self.search.under(self.light.behind(strength))
+            self.report.skipped.pop(str(Part.PHOTOGRAPHER), None)
+        elif not self.report.photographer:
+            self._skip(Part.PHOTOGRAPHER, Message("reason.no_photographer"))
 
     def _grow_palette(self) -> None:
         self._even_out_object()

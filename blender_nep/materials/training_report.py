@@ -27,6 +27,10 @@ class MaterialReport:
     """{strength of the response curve that was tried: mean tone-mapped error}"""
     object_gains: list[float] = field(default_factory=list)
     """[views] how much brighter the object is in each photo than in the others, if that differs"""
+    photographer: float = 0.0
+    """Strength of the person who takes light from the object (`shading.photographer`); 0: nobody was found"""
+    photographer_errors: dict[str, float] = field(default_factory=dict)
+    """{strength beyond the one found before: error of held-out photos}, the last time that it was looked for"""
     unseen_light_radius: float | None = None
     """Radius of the sphere on which the unseen light lies, in the unit frame"""
     unseen_light_gain: float | None = None
@@ -89,6 +93,7 @@ class MaterialReport:
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         empty: tuple[Any, ...] = (None, {}, [])
         found = {name: value for name, value in values.items() if name in always or value not in empty}
-        if not self.merged_shades:
-            del found["merged_shades"]
+        for name in ("merged_shades", "photographer"):
+            if not found[name]:
+                del found[name]
         return found

@@ -43,6 +43,8 @@ class MaterialPreset:
     """Whether the camera's response curve is found and undone. False is an ablation."""
     object_gains: bool = True
     """Whether it is found how much brighter the object is in some photos than in others. False is an ablation."""
+    photographer: bool = True
+    """Whether it is found how much light the photographer takes from the object. False is an ablation."""
     response_prior: float = 0.02
     """Cost of a response curve whose strength is off by 1 from the one that the photo files make likely, as a share of the
     error."""

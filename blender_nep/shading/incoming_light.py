@@ -21,6 +21,7 @@ from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, half_angle_of_density, specular_cones
 from blender_nep.shading.light_moments import LightMoments
+from blender_nep.shading.photographer import shadow
 from blender_nep.shading.plenoptic import (
     Material,
     PlenopticFunction,
@@ -53,6 +54,8 @@ class TracedLight:
     """[n, 3] irradiance from F_e, as far as it counts, divided by pi"""
     coverage: Tensor
     """[n, R] in 0..1: share of the specular lobe whose light the photos show"""
+    shadow: Tensor
+    """[n, 1 + R] means of `photographer.shadow` in the diffuse lobe and in that of each level; 0 if what is up is unknown"""
     hit_index: Tensor
     """[h] int64: index of the surface point, for each cone that met the mesh again"""
     hit_weight: Tensor
@@ -64,7 +67,7 @@ class TracedLight:
     rays: int
     """Number of cones that were traced"""
 
-    _TENSORS = ("coverage", "hit_index", "hit_weight")
+    _TENSORS = ("coverage", "shadow", "hit_index", "hit_weight")
 
     def state(self) -> dict:
         """The trace result as a dict of tensors and numbers, for a checkpoint."""
@@ -78,6 +81,17 @@ class TracedLight:
         own = {name: getattr(self, name) for name in self._TENSORS}
         direct = {"direct_specular": self.specular, "direct_diffuse": self.diffuse}
         return {"rays": self.rays, "hits": hits, "uncovered": vars(self.uncovered), **direct, **own}
+
+    def behind(self, strength: float) -> TracedLight:
+        """The same light with a photographer of this strength before it. What the object reflects to itself stays."""
+        left = torch.exp(-strength * self.shadow)
+        far = self.uncovered
+        return replace(
+            self,
+            specular=self.specular * left[:, 1:, None, None],
+            diffuse=self.diffuse * left[:, :1],
+            uncovered=replace(far, weight=far.weight * left[far.row]),
+        )
 
     @classmethod
     def joined(cls, parts: Sequence[TracedLight]) -> TracedLight:
@@ -169,11 +183,13 @@ class IncomingLight(LightMoments):
         reflection_variance: Tensor,
         generator: torch.Generator,
         progress: Callable[[float], None],
+        up: Tensor | None = None,
     ) -> IncomingLight:
         """Trace every cone once; a point has `irradiance` cones for the diffuse lobe.
 
         reflection_variance [n] radians^2 is that of the mirrored direction within the pixel that shows the point. It
-        widens the specular cones. progress(share that is done, 0..1) is called after each chunk.
+        widens the specular cones. progress(share that is done, 0..1) is called after each chunk. `up` [3] tells where the
+        photographer stands; None: that is not known.
         """
         device, n = points.position.device, len(points)
         levels = torch.tensor(roughness_levels, device=device)
@@ -181,7 +197,7 @@ class IncomingLight(LightMoments):
         parts = []
         for rows in torch.arange(n, device=device).split(max(1, _CHUNK // cones)):
             own = points[rows], reflection_variance[rows]
-            parts.append(_trace(plenoptic, *own, int(rows[0]), levels, irradiance, generator))
+            parts.append(_trace(plenoptic, *own, int(rows[0]), levels, irradiance, generator, up))
             progress((int(rows[-1]) + 1) / n)
         return cls.of(plenoptic, points, roughness_levels, TracedLight.joined(parts))
 
@@ -222,6 +238,25 @@ class IncomingLight(LightMoments):
         add_to_lobes(starts.numpy(), weight.numpy(), fresnel.numpy(), light.numpy(), diffuse, specular)
         whole = [torch.from_numpy(x).to(position.device) for x in (specular, diffuse)]
         return replace(self, plenoptic=plenoptic, specular=whole[0], diffuse=whole[1])
+
+    def behind(self, strength: float) -> IncomingLight:
+        """The light that is left by a photographer of this strength, beyond one that is in this light already."""
+        traced = self.traced.behind(strength)
+        of_object = self.known_specular - self.traced.specular
+        diffuse = self.known_diffuse + self.mean(traced.diffuse - self.traced.diffuse)
+        lit = replace(self, traced=traced, known_specular=traced.specular + of_object, known_diffuse=diffuse)
+        return lit.with_unseen(self.unseen)
+
+    def moments_behind(self, strength: float, rows: Tensor) -> LightMoments:
+        """About the same at the points `rows` [m]: what the object reflects to itself is taken away, too."""
+        left = torch.exp(-strength * self.traced.shadow[rows])
+        return LightMoments(
+            self.specular[rows] * left[:, 1:, None, None],
+            self.diffuse[rows] * left[:, :1],
+            self.coverage[rows],
+            self.cos_v[rows],
+            self.roughness_levels,
+        )
 
     def without_unseen(self) -> LightMoments:
         """The known light alone."""
@@ -269,6 +304,7 @@ def _trace(
     roughness_levels: Tensor,
     irradiance: int,
     generator: torch.Generator,
+    up: Tensor | None,
 ) -> TracedLight:
     """Trace the cones of some points. Among all points, these are numbers `first`, `first` + 1, and so on."""
     n, device = len(points), points.position.device
@@ -289,6 +325,8 @@ def _trace(
         return torch.zeros(n, *values.shape[1:], device=device).index_add_(0, each, values)
 
     total = gather(weight[..., None] * traced.radiance[:, None, None, :])
+    dark = torch.zeros_like(traced.coverage) if up is None else shadow(direction, points.view[each], up)
+    lobes = gather(weight[..., _FULL]).clamp_min(1e-9)
     seen = gather(weight[:, 1:, 0] * traced.coverage[:, None])
     far = (traced.coverage < 1 - _LEAST_SHARE).nonzero().squeeze(-1)
     full = weight[far, 1:, _FULL]
@@ -298,6 +336,7 @@ def _trace(
         specular=total[:, 1:],
         diffuse=total[:, 0, 0],
         coverage=seen / gather(weight[:, 1:, 0]).clamp_min(1e-9),
+        shadow=gather(weight[..., _FULL] * dark[:, None]) / lobes,
         hit_index=first + each[traced.row],
         hit_weight=weight[traced.row],
         hits=traced.hits,

@@ -27,7 +27,7 @@ from blender_nep.presets import Preset
 from blender_nep.safety.plain_files import read_json
 from blender_nep.stop_request import StopRequest
 
-FORMAT = 19
+FORMAT = 20
 """Version of the files in `checkpoints/` and of `report.json`. A run of another version is refused.
 
 Version 3 has new names: the stages (rooms before), and the fields of the preset. Version 6 keeps what a correction of the

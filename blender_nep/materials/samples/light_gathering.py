@@ -18,6 +18,7 @@ from blender_nep.optimizers import Adam
 from blender_nep.profiling import profiled
 from blender_nep.shading.incoming_light import IncomingLight, TracedLight
 from blender_nep.shading.light_moments import LightMoments
+from blender_nep.shading.photographer import up_of
 from blender_nep.shading.plenoptic import Material, PlenopticFunction, PlenopticSettings, SurfacePoints, TerminalRadiance
 from blender_nep.shading.smooth_irradiance import IrradianceMean
 from blender_nep.support.light import SupportLight
@@ -42,6 +43,8 @@ class Observations:
     f_p: PlenopticFunction
     footprint: float
     """Median width of a pixel on the surface, unit frame"""
+    up: torch.Tensor | None
+    """[3] the direction that is up; None: the object turned, or the cameras do not tell"""
     device: torch.device
 
     @classmethod
@@ -67,7 +70,8 @@ class Observations:
         support_light = None if support is None else SupportLight.of(support, rays, tracer)
         f_p = PlenopticFunction(tracer, surface.normals, environment, terminal, settings, device, support_light)
         points = f_p.points(samples.face, samples.barycentric, samples.view, rays.motion_in(samples.photo))
-        return cls(surface, rays, samples, points, f_p, pixel_footprint(rays), device)
+        up = up_of(rays.cameras()[1]) if points.motion is None else None
+        return cls(surface, rays, samples, points, f_p, pixel_footprint(rays), up, device)
 
 
 def _selected(
@@ -101,6 +105,7 @@ def gathered_light(
             seen.samples.reflection_variance,
             generator,
             lambda share: progress.step(10 + int(60 * share)),
+            seen.up,
         )
     progress.state = {
         "terminal": f_p.terminal.state_dict(),
@@ -143,19 +148,19 @@ def with_more_samples(
     seed: int,
     generator: torch.Generator,
     progress: Callable[[float], None],
+    photographer: float = 0.0,
 ) -> LitSamples:
     """The samples of `seen` with their `light`, and about as many more.
 
     The object reflects light to itself as with `materials_at`, and the unseen light is that of `light`. Its irradiance is a
     mean over neighboring samples, because the few cones of one sample make it noisy. progress(share that is done, 0..1) is
-    called after each chunk.
+    called after each chunk. `photographer` is the strength of the one in `light`.
     """
     more = _selected(seen.rays, seen.f_p.tracer, seen.surface.normals, preset, np.random.default_rng([seed, 1]))
     points = seen.f_p.points(more.face, more.barycentric, more.view, seen.rays.motion_in(more.photo))
-    of_more = IncomingLight.gathered(
-        seen.f_p, points, preset.roughness_levels, preset.irradiance_cones, more.reflection_variance, generator, progress
-    )
-    of_more = of_more.updated(materials_at, generator, light.unseen)
+    how = preset.roughness_levels, preset.irradiance_cones, more.reflection_variance, generator, progress, seen.up
+    of_more = IncomingLight.gathered(seen.f_p, points, *how)
+    of_more = (of_more.behind(photographer) if photographer else of_more).updated(materials_at, generator, light.unseen)
     both = LightMoments.joined(light, of_more)
     known = LightMoments.joined(light.without_unseen(), of_more.without_unseen())
     mean = IrradianceMean.over(SurfacePoints.joined([light.points, points]))

@@ -1,0 +1,77 @@
+"""Finds how much light the person who takes the photos takes from the object (`shading.photographer`).
+
+The person is in each photo somewhere else, and the material of a place stays the same. So the materials of small regions are
+fitted to most photos under several strengths, and photos that were held out tell which strength is right. Wrong materials
+make the residual larger, and hardly move its minimum.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+
+from blender_nep.materials.fitting import fit_groups, regions
+from blender_nep.materials.palette.palette import best_of, error
+from blender_nep.profiling import profiled
+
+if TYPE_CHECKING:
+    from blender_nep.materials.samples.photo_samples import PhotoSamples
+    from blender_nep.presets import MaterialPreset
+    from blender_nep.shading.incoming_light import IncomingLight
+
+STRENGTHS = (0.0, 0.5, 1.0, 1.5, 2.0)
+"""Strengths that are tried"""
+LEAST_GAIN = 0.01
+"""A person counts if the held-out photos differ by this share less."""
+_SAMPLES = 6000
+"""Photo samples that are fitted and predicted"""
+_REGION = 1.5
+"""Width of the regions in which the material counts as one, in widths of the preset's regions: there are fewer samples"""
+_HELD_OUT = 4
+"""One photo of this many is held out."""
+
+
+@profiled("photographer")
+def found_strength(samples: PhotoSamples, light: IncomingLight, preset: MaterialPreset) -> tuple[float, dict[str, float]]:
+    """How strong the person is in `light`, beyond what it has of one already, and {strength: error of held-out photos}.
+
+    0 if nobody explains the photos clearly better, or if there are too few photos.
+    """
+    some = torch.linspace(0, len(samples) - 1, min(_SAMPLES, len(samples))).long().to(samples.photo.device)
+    held = samples.photo[some] % _HELD_OUT == 0
+    if not bool(held.any()) or bool(held.all()):
+        return 0.0, {}
+    region, count = regions(samples.position[some.cpu().numpy()], _REGION * preset.region)
+    group, groups = torch.from_numpy(region).to(some.device), len(count)
+    target, even = samples.radiance[some], torch.ones(len(some), device=some.device)
+    fitted = torch.where(held, -1, group)
+    told = held & (torch.bincount(group[~held], minlength=groups) > 0)[group]
+    errors = []
+    for strength in STRENGTHS:
+        lit = light.moments_behind(strength, some)
+        cost, albedo = fit_groups(
+            lit,
+            target,
+            even,
+            fitted,
+            groups,
+            least_roughness=preset.least_roughness,
+            clip=preset.clip,
+            hypotheses=preset.metallic,
+        )
+        material = best_of(cost, albedo, preset.least_roughness, preset.metallic, 1.0).at(group)
+        errors.append(float(error(lit, target, even, material, preset.clip)[told].mean()))
+    return _best(errors), {f"{s:g}": round(e, 5) for s, e in zip(STRENGTHS, errors, strict=True)}
+
+
+def _best(errors: list[float]) -> float:
+    """The strength with the least error, refined by a parabola; 0 if it gains too little."""
+    k = min(range(len(errors)), key=errors.__getitem__)
+    if errors[k] > (1 - LEAST_GAIN) * errors[0]:
+        return 0.0
+    step = STRENGTHS[1] - STRENGTHS[0]
+    if k == len(errors) - 1:
+        return STRENGTHS[k]
+    left, middle, right = errors[k - 1 : k + 2]
+    return STRENGTHS[k] + 0.5 * step * (left - right) / max(left - 2 * middle + right, 1e-9)

@@ -1,0 +1,61 @@
+"""The person who takes the photos: from which directions the person, and the person's shadow, take light from the object.
+
+The person stands behind the camera. Seen from the object, the head is beside the camera, and the body is below it. The floor
+and the table on that side are in the person's shadow. Other photos show them without it, so F_e is too bright there for this
+photo. All of this is fixed to the camera. One number tells how much light it takes. The form was chosen on a rendered person
+in a living room (docs/lab/photographer.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+_LEVEL, _BELOW, _CAMERA = 0.8, 0.5, 0.3
+"""How dark the lobes towards the body, the floor before it, and the camera are: logarithms of what is left at strength 1"""
+_WIDE, _NARROW = 4.0, 8.0
+"""Sharpness of the lobes: exp(sharpness * (cos - 1)). The wide ones are half as strong 34 degrees from their middle."""
+_BESIDE = 0.3
+"""A camera that is nearer to straight above than this, as a sine, sees the person on no side."""
+_LEAST_UP = 0.2
+"""The cameras tell what is up if the mean of their upward directions is at least so long."""
+
+
+@dataclass(frozen=True)
+class Photographer:
+    """The person behind the cameras of one capture."""
+
+    strength: float
+    """How much light the person takes, as a multiple of `shadow`"""
+    up: Tensor
+    """[3] unit vector"""
+
+    def left(self, direction: Tensor, view: Tensor) -> Tensor:
+        """The share [...] of the light from unit directions [..., 3] that is left; view [..., 3] points to the camera."""
+        return torch.exp(-self.strength * shadow(direction, view, self.up))
+
+
+def up_of(rotations: Tensor) -> Tensor | None:
+    """The unit vector [3] that is up for cameras with camera-to-world rotations [views, 3, 3]. None: they do not tell."""
+    mean = rotations[:, :, 1].mean(0)
+    return functional.normalize(mean, dim=0) if float(mean.norm()) >= _LEAST_UP else None
+
+
+def shadow(direction: Tensor, view: Tensor, up: Tensor) -> Tensor:
+    """How much darker light from unit directions [..., 3] is at strength 1, as a natural logarithm >= 0: [...].
+
+    view [..., 3] are unit vectors to the camera, and `up` [3] is up.
+    """
+    aside = view - (view * up).sum(-1, keepdim=True) * up
+    length = aside.norm(dim=-1, keepdim=True)
+    level = aside / length.clamp_min(1e-6)
+    below = functional.normalize(level - up, dim=-1)
+    body = _LEVEL * _lobe(direction, level, _WIDE) + _BELOW * _lobe(direction, below, _WIDE)
+    return body * (length[..., 0] / _BESIDE).clamp_max(1) + _CAMERA * _lobe(direction, view, _NARROW)
+
+
+def _lobe(direction: Tensor, middle: Tensor, sharpness: float) -> Tensor:
+    return torch.exp(sharpness * ((direction * middle).sum(-1) - 1))
