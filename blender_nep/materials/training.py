@@ -207,8 +207,8 @@ class _MaterialLearner:
         self._reflect_itself()
         self.found = self.search.one()
         single = self._residual()
-        self._grow_palette()
         self._find_photographer()
+        self._grow_palette()
         for k in range(preset.rounds):
             self._find_unseen_light()
             if self._turned:  # photos showed hardly any of the light that the object has reflected to itself so far

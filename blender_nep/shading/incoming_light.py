@@ -55,7 +55,8 @@ class TracedLight:
     coverage: Tensor
     """[n, R] in 0..1: share of the specular lobe whose light the photos show"""
     shadow: Tensor
-    """[n, 1 + R] means of `photographer.shadow` in the diffuse lobe and in that of each level; 0 if what is up is unknown"""
+    """[n, 1 + R] how much darker a photographer of strength 1 makes even light in the diffuse lobe and in that of each
+    level, as a natural logarithm >= 0; 0 if it is not known what is up"""
     hit_index: Tensor
     """[h] int64: index of the surface point, for each cone that met the mesh again"""
     hit_weight: Tensor
@@ -325,7 +326,7 @@ def _trace(
         return torch.zeros(n, *values.shape[1:], device=device).index_add_(0, each, values)
 
     total = gather(weight[..., None] * traced.radiance[:, None, None, :])
-    dark = torch.zeros_like(traced.coverage) if up is None else shadow(direction, points.view[each], up)
+    left = torch.ones_like(traced.coverage) if up is None else torch.exp(-shadow(direction, points.view[each], up))
     lobes = gather(weight[..., _FULL]).clamp_min(1e-9)
     seen = gather(weight[:, 1:, 0] * traced.coverage[:, None])
     far = (traced.coverage < 1 - _LEAST_SHARE).nonzero().squeeze(-1)
@@ -336,7 +337,7 @@ def _trace(
         specular=total[:, 1:],
         diffuse=total[:, 0, 0],
         coverage=seen / gather(weight[:, 1:, 0]).clamp_min(1e-9),
-        shadow=gather(weight[..., _FULL] * dark[:, None]) / lobes,
+        shadow=-(gather(weight[..., _FULL] * left[:, None]) / lobes).clamp(1e-3, 1).log(),
         hit_index=first + each[traced.row],
         hit_weight=weight[traced.row],
         hits=traced.hits,

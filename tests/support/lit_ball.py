@@ -134,6 +134,13 @@ class SyntheticRays:
     def camera(self, view):
         return self.origin[self.view == view][0], None
 
+    def cameras(self):
+        """The cameras look at the origin, and their tops point up as far as possible: up is z."""
+        eye = torch.stack([self.camera(view)[0] for view in range(self.views)])
+        back = torch.nn.functional.normalize(eye, dim=-1)
+        across = torch.nn.functional.normalize(torch.linalg.cross(torch.tensor([[0.0, 0, 1]]).expand_as(back), back), dim=-1)
+        return eye, torch.stack([across, torch.linalg.cross(back, across), back], -1)
+
     def project(self, view, points):
         """Every point lies in the middle of every frame."""
         return torch.zeros(len(points), 2), torch.ones(len(points), dtype=torch.bool)
@@ -187,10 +194,11 @@ class MemoryCheckpoint:
         return self.state
 
 
-def make_photos(materials, views=10, side=32, rays=160, environment=None, turntable=None):
+def make_photos(materials, views=10, side=32, rays=160, environment=None, turntable=None, photographer=None):
     """Photos of the sphere in all of the light; materials(points [n,3]) -> albedo, roughness, metallic.
 
     `turntable` are the motions of the sphere to the room, where the light stands still; None: the sphere stands still.
+    `photographer` takes light from it; None: nobody does.
     """
     environment, generator = environment or AnalyticEnvironment(), torch.Generator().manual_seed(11)
     eye = torch.nn.functional.normalize(torch.randn(views, 3, generator=generator), dim=-1) * 3
@@ -221,8 +229,9 @@ def make_photos(materials, views=10, side=32, rays=160, environment=None, turnta
 
     def incoming(to_light):
         d = torch.einsum("nkij,nkj->nki", f, to_light)
+        left = 1.0 if photographer is None else photographer.left(d, -spread)[..., None]
         d = (d if turntable is None else turntable[view[hit]].directions(d)).reshape(-1, 3)
-        return AnalyticEnvironment.query_cone(environment, d, d, torch.zeros(len(d)))[0].reshape(n, rays, 3)
+        return left * AnalyticEnvironment.query_cone(environment, d, d, torch.zeros(len(d)))[0].reshape(n, rays, 3)
 
     # Balance heuristic between the two samplers: an estimator that shares nothing with the cones.
     each = [x[:, None].expand(n, rays, *x.shape[1:]) for x in (albedo, roughness, metallic)]
