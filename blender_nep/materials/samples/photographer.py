@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from blender_nep.presets import MaterialPreset
     from blender_nep.shading.incoming_light import IncomingLight
 
-STRENGTHS = (0.0, 0.5, 1.0, 1.5, 2.0)
-"""Strengths that are tried"""
+STRENGTHS = (0.0, 0.75, 1.5, 2.25, 3.0)
+"""Strengths that are tried, evenly spaced"""
 LEAST_GAIN = 0.01
 """A person counts if the held-out photos differ by this share less."""
 _SAMPLES = 6000
