@@ -137,22 +137,25 @@ class ShownSurface:
             behind=(color - self._behind(rays)).abs().mean(-1),
         )
 
-    def patches(self, width: float) -> list[np.ndarray]:
-        """The surface in patches about as wide as `width`, in object radii: of each, the cells [n, n, n] bool."""
+    def patches(self, width: float) -> np.ndarray:
+        """The surface in patches about as wide as `width`, in object radii: [k] int, the patch of each of its cells."""
         points = np.concatenate([self.surface.points / width, self.surface.normals], 1)
         count = max(1, round(len(points) * (self.grid.cell / width) ** 2))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of empty patches, which are left out
             _, label = kmeans2(points, count, _ROUNDS, minit="points", seed=np.random.default_rng(0))
-        return [self._cells(label == k) for k in np.unique(label)]
+        return label
 
-    def _cells(self, chosen: np.ndarray) -> np.ndarray:
+    def cells(self, chosen: np.ndarray) -> np.ndarray:
+        """The `chosen` [k] bool of the surface's cells: [n, n, n] bool."""
         cells = np.zeros_like(self.surface.mask)
         cells[tuple(self.surface.place[chosen].T)] = True
         return cells
 
     def _behind(self, rays: RayBundle) -> Tensor:
         """Tone-mapped colors [k, 3] of what is behind the object, on the CPU."""
+        if len(rays) == 0:
+            return torch.zeros(0, 3)
         origins, directions, half_angle = (part.to(self.photos.photos.device) for part in rays)
         return tone_map(self.background(RayBundle(origins, directions, half_angle))).cpu()
 

@@ -256,9 +256,8 @@ class _MaterialLearner:
         if self._turned:  # what stands still beside a turntable is a part of its light
             self._skip(Part.PHOTOGRAPHER, Message("reason.object_turned"))
             return
-        if self.seen.up is None or not self.light.in_photos:
-            why = "reason.nobody_knows_up" if self.seen.up is None else "reason.light_not_shown"
-            self._skip(Part.PHOTOGRAPHER, Message(why))
+        if not self.light.in_photos:
+            self._skip(Part.PHOTOGRAPHER, Message("reason.light_not_shown"))
             return
         strength, self.report.photographer_errors = found_strength(self.search.samples, self.light, self.preset)
         if strength:

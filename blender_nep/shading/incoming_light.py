@@ -56,7 +56,7 @@ class TracedLight:
     """[n, R] in 0..1: share of the specular lobe whose light the photos show"""
     shadow: Tensor
     """[n, 1 + R] how much darker a photographer of strength 1 makes even light in the diffuse lobe and in that of each
-    level, as a natural logarithm >= 0; 0 if it is not known what is up"""
+    level, as a natural logarithm >= 0; 0 if the object turned"""
     hit_index: Tensor
     """[h] int64: index of the surface point, for each cone that met the mesh again"""
     hit_weight: Tensor

@@ -14,14 +14,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from blender_nep.capture.cameras.upright import upward
+
 _LEVEL, _BELOW, _CAMERA = 0.8, 0.5, 0.3
 """How dark the lobes towards the body, the floor before it, and the camera are: logarithms of what is left at strength 1"""
 _WIDE, _NARROW = 4.0, 8.0
 """Sharpness of the lobes: exp(sharpness * (cos - 1)). The wide ones are half as strong 34 degrees from their middle."""
 _BESIDE = 0.3
 """A camera that is nearer to straight above than this, as a sine, sees the person on no side."""
-_LEAST_UP = 0.2
-"""The cameras tell what is up if the mean of their upward directions is at least so long."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,10 @@ class Photographer:
         return torch.exp(-self.strength * shadow(direction, view, self.up))
 
 
-def up_of(rotations: Tensor) -> Tensor | None:
-    """The unit vector [3] that is up for cameras with camera-to-world rotations [views, 3, 3]. None: they do not tell."""
-    mean = rotations[:, :, 1].mean(0)
-    return functional.normalize(mean, dim=0) if float(mean.norm()) >= _LEAST_UP else None
+def up_of(rotations: Tensor) -> Tensor:
+    """The unit vector [3] that is up for cameras with camera-to-world rotations [views, 3, 3]."""
+    right, above = (rotations[:, :, axis].double().cpu().numpy() for axis in (0, 1))
+    return torch.from_numpy(upward(right, above)).to(rotations)
 
 
 def shadow(direction: Tensor, view: Tensor, up: Tensor) -> Tensor:

@@ -176,15 +176,16 @@ def _grown(
 
     The photos happen to agree on some parts of a lid that face another way than the rest.
     """
-    grid, cells = SdfGrid(sdf), lid.cells
-    left = [
-        patch for patch in surface.patches(PATCH + 2 * wall) if not (patch & (open_to | cells)).sum() > 0.5 * patch.sum()
-    ]
-    tried = True
-    while tried:
-        tried = False
-        around = ndimage.binary_dilation(cells, iterations=3)
-        for patch in [patch for patch in left if (patch & around).any()]:
+    grid, cells, mask = SdfGrid(sdf), lid.cells, surface.surface.mask
+    patch_of = surface.patches(PATCH + 2 * wall)
+    is_open = (open_to | cells)[mask]
+    left = [k for k in np.unique(patch_of) if is_open[patch_of == k].mean() <= 0.5]
+    grew = True
+    while grew:
+        grew = False
+        around = ndimage.binary_dilation(cells, iterations=3)[mask]
+        for k in [k for k in left if around[patch_of == k].any()]:
+            patch = surface.cells(patch_of == k)
             own = surface.lid(patch, surface.volume_of(patch), np.zeros_like(patch), PIXELS_OF_PATCH)
             without = np.maximum(sdf, _depth(grid, open_to | own.above) - wall)
             shape = SdfGrid(without).traced_mesh()
@@ -193,8 +194,8 @@ def _grown(
             seen = _sight(own, surface.photos, shape, grid.cell)
             opens = float((seen.clear | seen.moved).float().mean()) >= LEAST_MOVED
             if opens and seen.left(own, True).mean() < MOST_OF_PATCH * own.difference.mean():
-                open_to, cells, tried = open_to | own.above, cells | patch, True
-                left = [other for other in left if other is not patch]
+                open_to, cells, grew = open_to | own.above, cells | patch, True
+                left.remove(k)
     return open_to, cells
 
 

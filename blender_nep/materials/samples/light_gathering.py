@@ -44,7 +44,7 @@ class Observations:
     footprint: float
     """Median width of a pixel on the surface, unit frame"""
     up: torch.Tensor | None
-    """[3] the direction that is up; None: the object turned, or the cameras do not tell"""
+    """[3] the direction that is up; None: the object turned"""
     device: torch.device
 
     @classmethod
