@@ -37,10 +37,10 @@ from blender_nep.materials.labels.labeled_points import (
     surfels,
 )
 from blender_nep.materials.palette.palette import Palette
+from blender_nep.materials.palette.photographer import found_strength
 from blender_nep.materials.palette.search import PaletteSearch
 from blender_nep.materials.photo_gains import gains_of_photos
 from blender_nep.materials.samples.light_gathering import Observations, gathered_light
-from blender_nep.materials.samples.photographer import found_strength
 from blender_nep.materials.segments.varied_learning import FoundVaried, VariedLearning
 from blender_nep.materials.shown_faces import ShownParts
 from blender_nep.materials.training_progress import TrainingProgress
