@@ -24,6 +24,8 @@ STRENGTHS = (0.0, 0.75, 1.5, 2.25, 3.0)
 """Strengths that are tried, evenly spaced"""
 LEAST_GAIN = 0.01
 """A person counts if the held-out photos differ by this share less."""
+LEAST_SURE, LEAST_PHOTOS = 2.0, 4
+"""And if their mean gain with the smallest strength is so many times its standard error, in at least so many photos"""
 _SAMPLES = 6000
 """Photo samples that are fitted and predicted"""
 _REGION = 1.5
@@ -47,7 +49,10 @@ def found_strength(samples: PhotoSamples, light: IncomingLight, preset: Material
     target, even = samples.radiance[some], torch.ones(len(some), device=some.device)
     fitted = torch.where(held, -1, group)
     told = held & (torch.bincount(group[~held], minlength=groups) > 0)[group]
-    errors = []
+    photo = samples.photo[some][told]
+    shown, errors = torch.bincount(photo), []
+    if int((shown > 0).sum()) < LEAST_PHOTOS:
+        return 0.0, {}
     for strength in STRENGTHS:
         lit = light.moments_behind(strength, some)
         cost, albedo = fit_groups(
@@ -61,8 +66,16 @@ def found_strength(samples: PhotoSamples, light: IncomingLight, preset: Material
             hypotheses=preset.metallic,
         )
         material = best_of(cost, albedo, preset.least_roughness, preset.metallic, 1.0).at(group)
-        errors.append(float(error(lit, target, even, material, preset.clip)[told].mean()))
-    return _best(errors), {f"{s:g}": round(e, 5) for s, e in zip(STRENGTHS, errors, strict=True)}
+        errors.append(error(lit, target, even, material, preset.clip)[told].double())
+    means = [float(each.mean()) for each in errors]
+    gain = torch.zeros(len(shown), dtype=torch.float64, device=some.device).index_add_(0, photo, errors[0] - errors[1])
+    strength = _best(means) if _sure((gain / shown)[shown > 0]) else 0.0
+    return strength, {f"{s:g}": round(e, 5) for s, e in zip(STRENGTHS, means, strict=True)}
+
+
+def _sure(gain: torch.Tensor) -> bool:
+    """Whether gains [photos] are not chance."""
+    return float(gain.mean()) > LEAST_SURE * float(gain.std()) / len(gain) ** 0.5
 
 
 def _best(errors: list[float]) -> float:
