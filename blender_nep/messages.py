@@ -467,6 +467,7 @@ WORDS: dict[str, str] = {
     "reason.curve_told": "the photos' exposures have told it before",
     "reason.equally_bright": "it is as bright in all photos",
     "reason.object_turned": "the object turned in its light",
+    "reason.too_few_photos": "there are too few photos",
     "reason.no_photographer": "the photos show nobody who takes light",
     "reason.linear_photos": "the photos hold linear values",
     "reason.no_tone_curve": "the photos show none",

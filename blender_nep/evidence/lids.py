@@ -75,8 +75,11 @@ class Lid:
 class ShownSurface:
     """The surface of an object, and the colors that the photos show there."""
 
-    def __init__(self, photos: SmallPhotos, sdf: np.ndarray, background: Background) -> None:
-        """sdf [n, n, n] belongs to the centers of n^3 cells of [-1, 1]^3. Raises ValueError where it has no surface."""
+    def __init__(self, photos: SmallPhotos, sdf: np.ndarray, background: Background | None) -> None:
+        """sdf [n, n, n] belongs to the centers of n^3 cells of [-1, 1]^3. Raises ValueError where it has no surface.
+
+        Without a background, nothing explains what is seen through the object.
+        """
         self.photos, self.grid, self.background = photos, SdfGrid(sdf), background
         shape = self.grid.traced_mesh()
         if shape is None:
@@ -90,6 +93,7 @@ class ShownSurface:
         """[k, 3]"""
         self.known = views_that_show(self.colors) >= LEAST_VIEWS
         """[k] bool"""
+        self._cameras, self._half_angle = photos.cameras.cpu(), photos.half_angle.cpu()
         mask = ~self.surface.mask
         self._nearest = ndimage.distance_transform_edt(mask, return_distances=False, return_indices=True)
 
@@ -115,7 +119,7 @@ class ShownSurface:
 
     def lid(self, cells: np.ndarray, above: np.ndarray, beyond: np.ndarray, pixels: int = _PIXELS) -> Lid:
         """The cells [n, n, n] bool of the surface as a lid, with at most so many of the pixels that show them."""
-        cameras = self.photos.cameras.cpu()
+        cameras = self._cameras
         row = torch.from_numpy(np.flatnonzero(cells[self.surface.mask]))
         view, each = torch.isfinite(self.colors[:, row, 0]).nonzero().T
         chosen = torch.randperm(len(view), generator=torch.Generator().manual_seed(0))[:pixels]
@@ -123,7 +127,7 @@ class ShownSurface:
         color, away = self.colors[view, each], self.points[each] - cameras[view]
         distance = away.norm(dim=-1)
         directions = away / distance[:, None]
-        rays = RayBundle(cameras[view], directions, self.photos.half_angle.cpu()[view])
+        rays = RayBundle(cameras[view], directions, self._half_angle[view])
         return Lid(
             cells=cells,
             above=above,
@@ -154,8 +158,8 @@ class ShownSurface:
 
     def _behind(self, rays: RayBundle) -> Tensor:
         """Tone-mapped colors [k, 3] of what is behind the object, on the CPU."""
-        if len(rays) == 0:
-            return torch.zeros(0, 3)
+        if len(rays) == 0 or self.background is None:
+            return torch.full((len(rays), 3), torch.inf)
         origins, directions, half_angle = (part.to(self.photos.photos.device) for part in rays)
         return tone_map(self.background(RayBundle(origins, directions, half_angle))).cpu()
 

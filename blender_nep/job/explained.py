@@ -109,7 +109,7 @@ def explained(
     scored = rays if held_out is None else held_out
     every = fitted_to_widths(preset.fields, rays).held_out_every if held_out is None else 1
     gain = materials.object_gain if held_out is None else None
-    strength, up = materials.report.get("photographer", 0.0), up_of(rays.cameras()[1])
-    person = Photographer(strength, up) if strength else None
+    strength = materials.report.get("photographer", 0.0)
+    person = Photographer(strength, up_of(rays.cameras()[1])) if strength else None
     found = explain_photos(asset, f_p, light, scored, every, held_out is not None, seed, curve, gain, person)
     return ExplainedReport(found, hold_out)

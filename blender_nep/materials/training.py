@@ -213,8 +213,8 @@ class _MaterialLearner:
             self._find_unseen_light()
             if self._turned:  # photos showed hardly any of the light that the object has reflected to itself so far
                 self._reflect_itself()
-            self._grow_palette()
             self._find_photographer()
+            self._grow_palette()
             self.progress.step(75 + 5 * k)
         self._reflect_itself()
         for k in range(preset.rounds):
@@ -259,11 +259,16 @@ class _MaterialLearner:
         if not self.light.in_photos:
             self._skip(Part.PHOTOGRAPHER, Message("reason.light_not_shown"))
             return
-        strength, self.report.photographer_errors = found_strength(self.search.samples, self.light, self.preset)
+        strength, errors = found_strength(self.search.samples, self.light, self.preset)
+        if not errors:
+            self._skip(Part.PHOTOGRAPHER, Message("reason.too_few_photos"))
+            return
+        self.report.photographer_errors = errors
         if strength:
-            self.report.photographer += strength
             self.search = self.search.under(self.light.behind(strength))
+            self.report.photographer = round(self.light.photographer, 4)
             self.report.skipped.pop(str(Part.PHOTOGRAPHER), None)
+            self.known_metallic = None  # it was decided in another light
         elif not self.report.photographer:
             self._skip(Part.PHOTOGRAPHER, Message("reason.no_photographer"))
 

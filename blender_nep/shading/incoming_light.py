@@ -21,7 +21,7 @@ from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, half_angle_of_density, specular_cones
 from blender_nep.shading.light_moments import LightMoments
-from blender_nep.shading.photographer import shadow
+from blender_nep.shading.photographer import STRENGTHS, at_strength, shadow
 from blender_nep.shading.plenoptic import (
     Material,
     PlenopticFunction,
@@ -55,8 +55,8 @@ class TracedLight:
     coverage: Tensor
     """[n, R] in 0..1: share of the specular lobe whose light the photos show"""
     shadow: Tensor
-    """[n, 1 + R] how much darker a photographer of strength 1 makes even light in the diffuse lobe and in that of each
-    level, as a natural logarithm >= 0; 0 if the object turned"""
+    """[n, 1 + R, S] how much darker a photographer makes even light in the diffuse lobe and in that of each level, at the
+    strengths `photographer.STRENGTHS`, as natural logarithms >= 0; 0 if the object turned"""
     hit_index: Tensor
     """[h] int64: index of the surface point, for each cone that met the mesh again"""
     hit_weight: Tensor
@@ -82,17 +82,6 @@ class TracedLight:
         own = {name: getattr(self, name) for name in self._TENSORS}
         direct = {"direct_specular": self.specular, "direct_diffuse": self.diffuse}
         return {"rays": self.rays, "hits": hits, "uncovered": vars(self.uncovered), **direct, **own}
-
-    def behind(self, strength: float) -> TracedLight:
-        """The same light with a photographer of this strength before it. What the object reflects to itself stays."""
-        left = torch.exp(-strength * self.shadow)
-        far = self.uncovered
-        return replace(
-            self,
-            specular=self.specular * left[:, 1:, None, None],
-            diffuse=self.diffuse * left[:, :1],
-            uncovered=replace(far, weight=far.weight * left[far.row]),
-        )
 
     @classmethod
     def joined(cls, parts: Sequence[TracedLight]) -> TracedLight:
@@ -151,6 +140,8 @@ class IncomingLight(LightMoments):
     """[n, 3] the same of `diffuse`. It is a mean over neighboring points"""
     mean: IrradianceMean
     """Takes that mean"""
+    photographer: float = 0.0
+    """Strength of the photographer who takes light away. What the object reflects to itself stays as it is"""
 
     @classmethod
     def of(
@@ -215,13 +206,18 @@ class IncomingLight(LightMoments):
         """
         traced, unseen = self.traced, self.unseen if unseen is None else unseen
         specular, diffuse = traced.specular.clone(), traced.diffuse.clone()
+        if self.photographer:
+            specular, diffuse = specular * self.left()[:, 1:, None, None], torch.zeros_like(diffuse)
         if len(traced.hit_index) and self.plenoptic.settings.levels > 0:
             light = replace(self.plenoptic, unseen=unseen).outgoing(traced.hits, materials_at, 2, generator)
             for part in torch.arange(len(light), device=light.device).split(1 << 15):
                 share = traced.hit_weight[part, ..., None] * light[part, None, None, :]
                 diffuse.index_add_(0, traced.hit_index[part], share[:, 0, 0])
                 specular.index_add_(0, traced.hit_index[part], share[:, 1:])
-        return replace(self, known_specular=specular, known_diffuse=self.mean(diffuse)).with_unseen(unseen)
+        mean = self.mean(diffuse)
+        if self.photographer:  # the mean is one over photos, and the photographer stands elsewhere in each
+            mean = mean + self.mean(traced.diffuse) * self.left()[:, :1]
+        return replace(self, known_specular=specular, known_diffuse=mean).with_unseen(unseen)
 
     @profiled("add the unseen light")
     def with_unseen(self, unseen: UnseenLight | None) -> IncomingLight:
@@ -235,22 +231,28 @@ class IncomingLight(LightMoments):
         # `row` is ascending, so the cones of a point lie together.
         starts = torch.searchsorted(far.row, torch.arange(len(position) + 1, device=far.row.device))
         specular, diffuse = self.known_specular.cpu().numpy().copy(), self.known_diffuse.cpu().numpy().copy()
-        starts, weight, fresnel, light = (x.contiguous().cpu() for x in (starts, far.weight, far.fresnel, light))
+        weight = far.weight * self.left()[far.row] if self.photographer else far.weight
+        starts, weight, fresnel, light = (x.contiguous().cpu() for x in (starts, weight, far.fresnel, light))
         add_to_lobes(starts.numpy(), weight.numpy(), fresnel.numpy(), light.numpy(), diffuse, specular)
         whole = [torch.from_numpy(x).to(position.device) for x in (specular, diffuse)]
         return replace(self, plenoptic=plenoptic, specular=whole[0], diffuse=whole[1])
 
-    def behind(self, strength: float) -> IncomingLight:
-        """The light that is left by a photographer of this strength, beyond one that is in this light already."""
-        traced = self.traced.behind(strength)
-        of_object = self.known_specular - self.traced.specular
-        diffuse = self.known_diffuse + self.mean(traced.diffuse - self.traced.diffuse)
-        lit = replace(self, traced=traced, known_specular=traced.specular + of_object, known_diffuse=diffuse)
+    def left(self, more: float = 0.0) -> Tensor:
+        """The share [n, 1 + R] of even light that the photographer leaves in each lobe, if stronger by `more`."""
+        return torch.exp(-at_strength(self.traced.shadow, self.photographer + more))
+
+    def behind(self, more: float) -> IncomingLight:
+        """The light behind a photographer who is stronger by `more`."""
+        before, after = self.left(), self.left(more)
+        change = after - before
+        specular = self.known_specular + self.traced.specular * change[:, 1:, None, None]
+        diffuse = self.known_diffuse + self.mean(self.traced.diffuse) * change[:, :1]
+        lit = replace(self, known_specular=specular, known_diffuse=diffuse, photographer=self.photographer + more)
         return lit.with_unseen(self.unseen)
 
-    def moments_behind(self, strength: float, rows: Tensor) -> LightMoments:
+    def moments_behind(self, more: float, rows: Tensor) -> LightMoments:
         """About the same at the points `rows` [m]: what the object reflects to itself is taken away, too."""
-        left = torch.exp(-strength * self.traced.shadow[rows])
+        left = (self.left(more) / self.left())[rows]
         return LightMoments(
             self.specular[rows] * left[:, 1:, None, None],
             self.diffuse[rows] * left[:, :1],
@@ -269,6 +271,8 @@ class IncomingLight(LightMoments):
         place[rows] = torch.arange(len(rows), device=rows.device)
         cones = self.traced.uncovered
         cones = cones[(place[cones.row] >= 0).nonzero().squeeze(-1)]
+        if self.photographer:
+            cones = replace(cones, weight=cones.weight * self.left()[cones.row])
         return replace(cones, row=place[cones.row])
 
     def uncovered_response(self, cones: UncoveredCones, rows: Tensor, material: Material) -> tuple[Tensor, Tensor]:
@@ -326,7 +330,7 @@ def _trace(
         return torch.zeros(n, *values.shape[1:], device=device).index_add_(0, each, values)
 
     total = gather(weight[..., None] * traced.radiance[:, None, None, :])
-    left = torch.ones_like(traced.coverage) if up is None else torch.exp(-shadow(direction, points.view[each], up))
+    dark = torch.zeros_like(traced.coverage) if up is None else shadow(direction, points.view[each], up)
     lobes = gather(weight[..., _FULL]).clamp_min(1e-9)
     seen = gather(weight[:, 1:, 0] * traced.coverage[:, None])
     far = (traced.coverage < 1 - _LEAST_SHARE).nonzero().squeeze(-1)
@@ -337,7 +341,7 @@ def _trace(
         specular=total[:, 1:],
         diffuse=total[:, 0, 0],
         coverage=seen / gather(weight[:, 1:, 0]).clamp_min(1e-9),
-        shadow=-(gather(weight[..., _FULL] * left[:, None]) / lobes).clamp(1e-3, 1).log(),
+        shadow=torch.stack([_shadow(gather, weight[..., _FULL], k * dark, lobes) for k in STRENGTHS], -1),
         hit_index=first + each[traced.row],
         hit_weight=weight[traced.row],
         hits=traced.hits,
@@ -351,6 +355,12 @@ def _trace(
         ),
         rays=len(live),
     )
+
+
+def _shadow(gather: Callable[[Tensor], Tensor], weight: Tensor, dark: Tensor, lobes: Tensor) -> Tensor:
+    """How much darker [n, 1 + R] lobes are if their cones are darker by `dark` [k]. weight [k, 1 + R]; lobes: its sums."""
+    left = gather(weight * torch.exp(-dark)[:, None]) / lobes
+    return torch.where(lobes > 1e-8, -left.clamp(1e-3, 1).log(), 0.0)
 
 
 def lobe_cones(

@@ -21,7 +21,9 @@ _LEVEL, _BELOW, _CAMERA = 0.8, 0.5, 0.3
 _WIDE, _NARROW = 4.0, 8.0
 """Sharpness of the lobes: exp(sharpness * (cos - 1)). The wide ones are half as strong 34 degrees from their middle."""
 _BESIDE = 0.3
-"""A camera that is nearer to straight above than this, as a sine, sees the person on no side."""
+"""The body fades if the camera is nearer to straight above than this, as a sine."""
+STRENGTHS = (0.75, 1.5, 2.25, 3.0)
+"""Strengths at which a lobe's light is known. Between them, it is interpolated."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,14 @@ class Photographer:
     def left(self, direction: Tensor, view: Tensor) -> Tensor:
         """The share [...] of the light from unit directions [..., 3] that is left; view [..., 3] points to the camera."""
         return torch.exp(-self.strength * shadow(direction, view, self.up))
+
+
+def at_strength(shadow: Tensor, strength: float) -> Tensor:
+    """How much darker [...] it is at a strength, from shadow [..., S] at STRENGTHS. Beyond the last, in proportion."""
+    step = STRENGTHS[0]
+    low = min(int(strength / step), len(STRENGTHS) - 1)
+    before = shadow[..., low - 1] if low else torch.zeros_like(shadow[..., 0])
+    return torch.lerp(before, shadow[..., low], strength / step - low)
 
 
 def up_of(rotations: Tensor) -> Tensor:

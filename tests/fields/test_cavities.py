@@ -83,6 +83,26 @@ def test_a_pipe_is_opened_at_both_ends(tmp_path):
     assert (field.sdf(torch.tensor([[0.0, 0.0, z] for z in (BOTTOM, -0.3, 0.0, 0.3, TOP)])) > 0.05).all()
 
 
+def test_a_short_ring_is_opened(tmp_path):
+    """Most pixels of its lid see through it, and few see its wall."""
+
+    def raised(distance):
+        return lambda points: np.maximum(distance(points), np.abs(points[..., 2]) - 0.2)
+
+    whole, true = in_cells(raised(block)), in_cells(raised(lambda points: pipe(points, 0.1)))
+    photos = pixels(write_pot_scene(tmp_path / "ring", raised(lambda points: pipe(points, 0.1))))
+    opened = whole + difference_for(photos, whole)
+    inside, found = (whole < 0) & (true > 0), (whole < 0) & (opened > 0)
+    assert (found & inside).sum() / (found | inside).sum() > 0.8
+
+
+def test_nothing_is_a_tube_without_a_known_background(tmp_path):
+    photos = pixels(write_pot_scene(tmp_path / "pipe", lambda points: pipe(points, 0.1)))
+    opened = CLOSED + difference_for(photos, CLOSED, None)
+    floor = (CLOSED < 0) & (in_cells(lambda points: points[..., 2]) < BOTTOM + 0.03)
+    assert (opened[floor] < 0).all()
+
+
 def test_a_lid_grows_over_the_rest_of_the_opening(tmp_path):
     photos = pixels(write_pot_scene(tmp_path / "pipe", lambda points: pipe(points, 0.1)))
     surface = ShownSurface(SmallPhotos(photos), CLOSED, known_sky)

@@ -13,7 +13,7 @@ from blender_nep.shading.photographer import Photographer, shadow, up_of
 from blender_nep.shading.plenoptic import PlenopticFunction, PlenopticSettings, TerminalRadiance
 
 UP = torch.tensor([0.0, 0.0, 1.0])
-VIEW = torch.tensor([0.6, 0.48, 0.64])
+VIEW, OTHER = torch.tensor([0.6, 0.48, 0.64]), torch.tensor([-0.6, 0.48, 0.64])
 
 
 def at(azimuth: float, elevation: float) -> torch.Tensor:
@@ -73,32 +73,54 @@ def gathered():
     ball = trimesh.creation.icosphere(subdivisions=3)
     vertices, faces = np.asarray(ball.vertices, np.float32), np.asarray(ball.faces)
     tracer = RayTracer(vertices, faces)
-    shown = np.flatnonzero(tracer.face_normals @ VIEW.numpy() > 0.3)
+    shown = np.flatnonzero((tracer.face_normals @ torch.stack([VIEW, OTHER], 1).numpy() > 0.2).all(1))
     face = np.random.default_rng(0).choice(shown, 500)
-    settings = PlenopticSettings(levels=1, diffuse=8, specular=4)
+    settings = PlenopticSettings(levels=0, diffuse=8, specular=4)
 
-    def of(light, up=None):
+    def of(light, up=None, view=VIEW):
         f_p = PlenopticFunction(tracer, vertices, World(light), TerminalRadiance(), settings, "cpu")
-        points = f_p.points(face, np.full((500, 3), 1 / 3, np.float32), VIEW.expand(500, 3))
+        points = f_p.points(face, np.full((500, 3), 1 / 3, np.float32), view.expand(500, 3))
         generator = torch.Generator().manual_seed(3)
         return IncomingLight.gathered(f_p, points, (0.1, 0.4, 1.0), 32, torch.zeros(500), generator, lambda _: None, up)
 
     return of
 
 
-def test_light_behind_a_photographer_is_that_of_a_darker_world(gathered):
-    bright = gathered(lambda d: torch.ones(len(d)), UP)
-    dark = gathered(lambda d: torch.exp(-shadow(d, VIEW.expand_as(d), UP)))
-    behind = bright.behind(1.0)
-    torch.testing.assert_close(behind.specular[..., 0, :], dark.specular[..., 0, :], rtol=1e-3, atol=1e-4)
-    torch.testing.assert_close(behind.diffuse, dark.diffuse, rtol=1e-4, atol=1e-5)
-    assert 0.3 < float(dark.specular[:, 0, 0].min() / bright.specular[:, 0, 0].max()) < 0.7
-    once = bright.behind(0.4).behind(0.6)
-    torch.testing.assert_close(once.specular, behind.specular)
+def bright(directions):
+    return torch.ones(len(directions))
+
+
+def darker(strength, view):
+    return lambda d: torch.exp(-strength * shadow(d, view.expand_as(d), UP))
+
+
+@pytest.mark.parametrize(("strength", "error"), [(0.4, 0.02), (1.5, 0.004), (2.6, 0.01)])
+def test_light_behind_a_photographer_is_that_of_a_darker_world(gathered, strength, error):
+    """At 1.5 it is known. Between the strengths that are known, it is interpolated."""
+    lit, dark = gathered(bright, UP), gathered(darker(strength, VIEW))
+    behind = lit.behind(strength)
+    torch.testing.assert_close(behind.specular[..., 0, :], dark.specular[..., 0, :], rtol=error, atol=1e-4)
+    assert float((behind.diffuse / dark.diffuse - 1).abs().mean()) < 0.01
+    in_steps = lit.behind(0.3).behind(strength - 0.3)
+    torch.testing.assert_close(in_steps.specular, behind.specular)
+    assert in_steps.photographer == pytest.approx(strength)
     some = torch.tensor([3, 17, 240])
-    torch.testing.assert_close(bright.moments_behind(1.0, some).specular, behind.specular[some])
+    torch.testing.assert_close(lit.moments_behind(strength, some).specular, behind.specular[some])
+    again = behind.updated(None, torch.Generator())
+    torch.testing.assert_close(again.specular, behind.specular)
+    torch.testing.assert_close(again.diffuse, behind.diffuse)
+
+
+def test_each_photo_has_its_own_photographer(gathered):
+    """The irradiance is a mean over neighbors in all photos. What the photographer takes from one photo is not."""
+    first = torch.arange(500) % 2 == 0
+    both = gathered(bright, UP, torch.where(first[:, None], VIEW, OTHER)).behind(2.0)
+    for view, rows in ((VIEW, first), (OTHER, ~first)):
+        dark = gathered(darker(2.0, view), view=view)
+        assert float((both.diffuse[rows] / dark.diffuse[rows] - 1).abs().mean()) < 0.02
+        assert float((both.diffuse[~rows] / dark.diffuse[~rows] - 1).abs().mean()) > 0.1, "the views differ"
 
 
 def test_nobody_takes_light_where_up_is_unknown(gathered):
-    lit = gathered(lambda d: torch.ones(len(d)))
+    lit = gathered(bright)
     assert torch.equal(lit.behind(2.0).specular, lit.specular) and not lit.traced.shadow.any()

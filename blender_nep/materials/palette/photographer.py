@@ -14,13 +14,14 @@ import torch
 from blender_nep.materials.fitting import fit_groups, regions
 from blender_nep.materials.palette.palette import best_of, error
 from blender_nep.profiling import profiled
+from blender_nep.shading.photographer import STRENGTHS as KNOWN
 
 if TYPE_CHECKING:
     from blender_nep.materials.samples.photo_samples import PhotoSamples
     from blender_nep.presets import MaterialPreset
     from blender_nep.shading.incoming_light import IncomingLight
 
-STRENGTHS = (0.0, 0.75, 1.5, 2.25, 3.0)
+STRENGTHS = (0.0, *KNOWN)
 """Strengths that are tried, evenly spaced"""
 LEAST_GAIN = 0.01
 """A person counts if the held-out photos differ by this share less."""

@@ -148,23 +148,23 @@ def with_more_samples(
     seed: int,
     generator: torch.Generator,
     progress: Callable[[float], None],
-    photographer: float = 0.0,
 ) -> LitSamples:
     """The samples of `seen` with their `light`, and about as many more.
 
     The object reflects light to itself as with `materials_at`, and the unseen light is that of `light`. Its irradiance is a
     mean over neighboring samples, because the few cones of one sample make it noisy. progress(share that is done, 0..1) is
-    called after each chunk. `photographer` is the strength of the one in `light`.
+    called after each chunk.
     """
     more = _selected(seen.rays, seen.f_p.tracer, seen.surface.normals, preset, np.random.default_rng([seed, 1]))
     points = seen.f_p.points(more.face, more.barycentric, more.view, seen.rays.motion_in(more.photo))
     how = preset.roughness_levels, preset.irradiance_cones, more.reflection_variance, generator, progress, seen.up
     of_more = IncomingLight.gathered(seen.f_p, points, *how)
-    of_more = (of_more.behind(photographer) if photographer else of_more).updated(materials_at, generator, light.unseen)
+    of_more = replace(of_more, photographer=light.photographer).updated(materials_at, generator, light.unseen)
     both = LightMoments.joined(light, of_more)
     known = LightMoments.joined(light.without_unseen(), of_more.without_unseen())
     mean = IrradianceMean.over(SurfacePoints.joined([light.points, points]))
-    diffuse = known.diffuse + mean(both.diffuse - known.diffuse)
+    left = torch.cat([light.left(), of_more.left()])[:, :1]  # each photo has its own, so it is no part of the mean
+    diffuse = known.diffuse + mean((both.diffuse - known.diffuse) / left) * left
     return LitSamples(PhotoSamples.joined(seen.samples, more), replace(both, diffuse=diffuse), known)
 
 

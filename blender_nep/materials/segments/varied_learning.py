@@ -105,7 +105,6 @@ class VariedLearning:
             self.seed,
             self.generator,
             lambda _: self.progress.step(self.progress.done),
-            self.report.photographer,
         )
         pixels = self._label_pixels()
         segments = segments_of(lit.samples, self.seed, pixels)
