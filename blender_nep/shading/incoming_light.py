@@ -141,7 +141,8 @@ class IncomingLight(LightMoments):
     mean: IrradianceMean
     """Takes that mean"""
     photographer: float = 0.0
-    """Strength of the photographer who takes light away. What the object reflects to itself stays as it is"""
+    """Strength of the photographer who takes light away. What the object reflects to itself stays as it is. What is taken from
+    the irradiance is a mean over neighboring points of all photos (docs/lab/photographer.md)"""
 
     @classmethod
     def of(
@@ -215,8 +216,8 @@ class IncomingLight(LightMoments):
                 diffuse.index_add_(0, traced.hit_index[part], share[:, 0, 0])
                 specular.index_add_(0, traced.hit_index[part], share[:, 1:])
         mean = self.mean(diffuse)
-        if self.photographer:  # the mean is one over photos, and the photographer stands elsewhere in each
-            mean = mean + self.mean(traced.diffuse) * self.left()[:, :1]
+        if self.photographer:
+            mean = mean + self.mean(traced.diffuse * self.left()[:, :1])
         return replace(self, known_specular=specular, known_diffuse=mean).with_unseen(unseen)
 
     @profiled("add the unseen light")
@@ -246,7 +247,7 @@ class IncomingLight(LightMoments):
         before, after = self.left(), self.left(more)
         change = after - before
         specular = self.known_specular + self.traced.specular * change[:, 1:, None, None]
-        diffuse = self.known_diffuse + self.mean(self.traced.diffuse) * change[:, :1]
+        diffuse = self.known_diffuse + self.mean(self.traced.diffuse * change[:, :1])
         lit = replace(self, known_specular=specular, known_diffuse=diffuse, photographer=self.photographer + more)
         return lit.with_unseen(self.unseen)
 

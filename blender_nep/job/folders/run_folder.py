@@ -37,6 +37,7 @@ Version 12 keeps the normals of labeled points. Version 13 keeps which parts of 
 keeps the moments of our own optimizers. Version 15 keeps what each refinement of stage 1 has done. Version 16 keeps the
 camera's response curve. Version 17 keeps how the object of a turntable stood where it reflects itself.
 Version 18 keeps how much brighter the object is in each photo. Version 19 keeps where photos end at white.
+Version 20 keeps how much light the photographer takes in each lobe.
 """
 
 
