@@ -141,8 +141,8 @@ class IncomingLight(LightMoments):
     mean: IrradianceMean
     """Takes that mean"""
     photographer: float = 0.0
-    """Strength of the photographer who takes light away. What the object reflects to itself stays as it is. What is taken from
-    the irradiance is a mean over neighboring points of all photos (docs/lab/photographer.md)"""
+    """Strength of the photographer who takes light away. What the object reflects to itself stays as it is. What is taken
+    from the irradiance is a mean over neighboring points of all photos (docs/lab/photographer.md)"""
 
     @classmethod
     def of(

@@ -163,7 +163,6 @@ def with_more_samples(
     both = LightMoments.joined(light, of_more)
     known = LightMoments.joined(light.without_unseen(), of_more.without_unseen())
     mean = IrradianceMean.over(SurfacePoints.joined([light.points, points]))
-    left = torch.cat([light.left(), of_more.left()])[:, :1]  # each photo has its own, so it is no part of the mean
     diffuse = known.diffuse + mean(both.diffuse - known.diffuse)
     return LitSamples(PhotoSamples.joined(seen.samples, more), replace(both, diffuse=diffuse), known)
 
