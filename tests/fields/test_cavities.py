@@ -83,6 +83,7 @@ def test_a_pipe_is_opened_at_both_ends(tmp_path):
     assert (field.sdf(torch.tensor([[0.0, 0.0, z] for z in (BOTTOM, -0.3, 0.0, 0.3, TOP)])) > 0.05).all()
 
 
+@pytest.mark.slow
 def test_a_short_ring_is_opened(tmp_path):
     """Most pixels of its lid see through it, and few see its wall."""
 
@@ -96,6 +97,7 @@ def test_a_short_ring_is_opened(tmp_path):
     assert (found & inside).sum() / (found | inside).sum() > 0.8
 
 
+@pytest.mark.slow
 def test_nothing_is_a_tube_without_a_known_background(tmp_path):
     photos = pixels(write_pot_scene(tmp_path / "pipe", lambda points: pipe(points, 0.1)))
     opened = CLOSED + difference_for(photos, CLOSED, None)

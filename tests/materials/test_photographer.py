@@ -25,6 +25,7 @@ def test_the_strength_is_found_and_the_albedo_is_right(ball, photos):
     np.testing.assert_allclose(found.albedo.reshape(-1, 3).mean(0), BRONZE[0], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_without_it_the_material_is_too_dark(ball, photos):
     found = learn(ball, photos, replace(PRESET, photographer=False))
     assert found.report["skipped"]["photographer"]["code"] == "reason.preset" and "photographer" not in found.report
