@@ -21,6 +21,7 @@ from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.evidence.agreement import difference, median_of_photos, views_that_show
 from blender_nep.evidence.sdf_grid import SdfGrid, SurfaceCells
 from blender_nep.evidence.small_photos import SmallPhotos
+from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.tone_mapping import tone_map
 
 Background = Callable[[RayBundle], Tensor]
@@ -75,15 +76,19 @@ class Lid:
 class ShownSurface:
     """The surface of an object, and the colors that the photos show there."""
 
-    def __init__(self, photos: SmallPhotos, sdf: np.ndarray, background: Background | None) -> None:
-        """sdf [n, n, n] belongs to the centers of n^3 cells of [-1, 1]^3. Raises ValueError where it has no surface.
+    @classmethod
+    def of(cls, photos: SmallPhotos, sdf: np.ndarray, background: Background | None) -> ShownSurface | None:
+        """sdf [n, n, n] belongs to the centers of n^3 cells of [-1, 1]^3. None: nothing is inside.
 
         Without a background, nothing explains what is seen through the object.
         """
-        self.photos, self.grid, self.background = photos, SdfGrid(sdf), background
-        shape = self.grid.traced_mesh()
-        if shape is None:
-            raise ValueError("nothing is inside")
+        grid = SdfGrid(sdf)
+        shape = grid.traced_mesh()
+        return None if shape is None else cls(photos, grid, shape, background)
+
+    def __init__(self, photos: SmallPhotos, grid: SdfGrid, shape: RayTracer, background: Background | None) -> None:
+        """`shape` is the surface of the grid. `of` makes both."""
+        self.photos, self.grid, self.background = photos, grid, background
         self.surface: SurfaceCells = self.grid.surface()
         self.points = torch.from_numpy(self.surface.points)
         normals = torch.from_numpy(self.surface.normals)

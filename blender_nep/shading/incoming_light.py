@@ -244,8 +244,7 @@ class IncomingLight(LightMoments):
 
     def behind(self, more: float) -> IncomingLight:
         """The light behind a photographer who is stronger by `more`."""
-        before, after = self.left(), self.left(more)
-        change = after - before
+        change = self.left(more) - self.left()
         specular = self.known_specular + self.traced.specular * change[:, 1:, None, None]
         diffuse = self.known_diffuse + self.mean(self.traced.diffuse * change[:, :1])
         lit = replace(self, known_specular=specular, known_diffuse=diffuse, photographer=self.photographer + more)

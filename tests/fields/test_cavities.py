@@ -107,7 +107,7 @@ def test_nothing_is_a_tube_without_a_known_background(tmp_path):
 
 def test_a_lid_grows_over_the_rest_of_the_opening(tmp_path):
     photos = pixels(write_pot_scene(tmp_path / "pipe", lambda points: pipe(points, 0.1)))
-    surface = ShownSurface(SmallPhotos(photos), CLOSED, known_sky)
+    surface = ShownSurface.of(SmallPhotos(photos), CLOSED, known_sky)
     x, y, z = (in_cells(lambda points, k=k: points[..., k]) for k in range(3))
     mask, beside = surface.surface.mask, np.hypot(x, y)
     top, floor = (mask & (z * side > TOP - 0.05) & (beside < RADIUS - 0.1) for side in (1, -1))

@@ -47,7 +47,8 @@ LEAST_KNOWN, LEAST_MOVED = 0.3, 0.25
 """Share of the pixels behind the lid whose color is known, and share of the lid's pixels that see what is behind it."""
 LEAST_THROUGH, MOST_BEHIND = 0.05, 0.5
 """A tube counts if at least this share of the lid's pixels see through it, and if what is behind the object explains these
-pixels with less than this share of the lid's difference. It is 0.3 on a gold cape, and at least 0.9 on solid objects."""
+pixels with less than this share of the lid's difference. It is 0.3 to 0.5 on a gold cape, and at least 0.88 on solid
+objects."""
 MOST_OF_TUBE = 0.85
 """The error of a tube must be below this share of the lid's. It is 0.55 to 0.8 on a gold cape."""
 PATCH = 0.12
@@ -56,8 +57,8 @@ because a wall has its thickness towards all that is still closed."""
 AROUND = 0.05
 """A patch is tried if it is so near to the lid, in object radii."""
 MOST_OF_PATCH = 0.9
-"""A patch belongs to the lid if the error of its pixels is below this share without it. It is 0.7 to 0.9 for parts of the
-lid of a gold cape, and at least 1.04 for the gold."""
+"""A patch belongs to the lid if the error of its pixels is below this share without it. It is 0.54 to 0.93 for parts of
+the lid of a gold cape, and at least 1.3 for the gold."""
 PIXELS_OF_PATCH, LEAST_OF_PATCH = 600, 50
 """Largest and smallest number of pixels by which a patch is judged"""
 
@@ -100,10 +101,8 @@ def find_cavities(rays: PixelRays, sdf: np.ndarray, background: Background | Non
 
     The SDF belongs to the centers of n^3 cells of [-1, 1]^3, in radii of the object's sphere. Tubes need the background.
     """
-    opened = sdf
-    try:
-        surface = ShownSurface(SmallPhotos(rays), sdf, background)
-    except ValueError:  # there is no surface
+    opened, surface = sdf, ShownSurface.of(SmallPhotos(rays), sdf, background)
+    if surface is None:
         return Cavities(np.zeros_like(sdf), 0)
     lids = surface.lids()
     for lid in lids:
