@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from blender_nep.ops.environment.cones import accumulate_coverage, composite_cones
+from blender_nep.ops.environment.cones import Levels, accumulate_coverage, composite_cones
 from blender_nep.ops.environment.rendering import EnvironmentVolume, render_environment
 from blender_nep.ops.environment.samples import Medium, RaySamples, sample_rays
 from blender_nep.ops.environment.segments import RaySegments
@@ -107,7 +107,7 @@ def _prefiltered() -> np.ndarray:
 
 def _cones() -> None:
     level = np.zeros((8, 16, 3, 5), np.float32)
-    levels, shells = ([level, level.copy()], [0.1, 0.2]), torch.tensor([1.0, 2.0, 4.0])
+    levels, shells = (Levels.joined([level, level]), [0.1, 0.2]), torch.tensor([1.0, 2.0, 4.0])
     origins, directions, near, _ = _segments()
     known = torch.ones(3, dtype=torch.bool)
     detail = np.ones((16, 32, 3), np.float32)

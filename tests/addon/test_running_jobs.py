@@ -201,6 +201,7 @@ def check_stopped(folder):
     assert bpy.ops.nep.reconstruct(resume=True) == {"FINISHED"} and meshes(bpy) == ["out"]
 
 
+@pytest.mark.slow
 def test_cancel_crash_and_resume(folders):
     in_blender(check_cancel_and_crash, folders, **SLOW)
 

@@ -65,6 +65,7 @@ def check_foreign_files(folder):
             assert [path for path in out.rglob("*") if path.is_file()] == [file] and file.read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_a_capture_of_ours_is_rendered_again(tmp_path):
     small = ("--views", "3", "--test-views", "1", "--size", "16", "--samples", "1", "--snapshots")
     for _ in range(2):

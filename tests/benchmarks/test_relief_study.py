@@ -13,6 +13,7 @@ def as_surface(mesh):
     return Surface(vertices, np.array(mesh.faces), normals)
 
 
+@pytest.mark.slow
 def test_the_score_tells_a_lost_band_from_one_that_is_there():
     truth = ball(subdivisions=7)
     polar = np.degrees(np.arccos(truth.vertices[:, 2] / np.linalg.norm(truth.vertices, axis=1)))

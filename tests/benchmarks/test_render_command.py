@@ -106,6 +106,7 @@ def few_of_small(out: Path) -> Path:
     return with_fewer_views(SUZANNE_SMALL, 4, out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [distant_of_small, few_of_small])
 def test_a_capture_whose_making_was_cut_off_is_made_again(make, tmp_path, monkeypatch):
     """Only half of the file that is written last, whichever it is, reaches the disk."""

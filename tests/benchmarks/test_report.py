@@ -363,6 +363,7 @@ def test_a_study_of_scaling_without_points_ends_without_a_plot(tmp_path, capsys)
     assert (tmp_path / "scaling.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_every_plot_of_the_report_is_drawn_as_a_small_picture(out, tmp_path):
     pytest.importorskip("matplotlib", reason="the extra `bench`")
     from benchmarks.reports.plots import PLOTS, draw_all

@@ -32,6 +32,7 @@ def test_a_variant_of_a_capture_has_the_properties_of_its_name(tmp_path):
         assert made.object_share == pytest.approx(plain.object_share, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_variant_follows_a_source_that_was_rendered_again(tmp_path):
     source, made = tmp_path / "source", tmp_path / "made"
     shutil.copytree(SUZANNE_SMALL, source)

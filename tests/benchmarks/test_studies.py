@@ -92,6 +92,7 @@ def test_a_row_of_skipping_is_of_its_threads(call, monkeypatch):
         call(skipping, SUZANNE_SMALL, "--threads", 2)
 
 
+@pytest.mark.slow
 def test_small_jobs_run_before_a_run_of_skipping_is_timed(call, tmp_path, monkeypatch):
     """They are whole jobs: every stage runs. Where no run is missing, there are none."""
     begun, job = [], skipping.Job

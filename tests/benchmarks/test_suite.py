@@ -290,6 +290,7 @@ def test_what_does_not_act_is_not_left_out(commit, runs, tmp_path, monkeypatch, 
     assert ("without_relief-seed_0: not run" in capsys.readouterr().err) == ("without relief" not in runs)
 
 
+@pytest.mark.slow
 def test_a_step_that_crashes_or_hangs_is_an_error(tmp_path):
     children, log = Children(), tmp_path / "log"
     dead = children.run([sys.executable, "-c", "import os; os.abort()"], log, 1, 60)
@@ -380,6 +381,7 @@ def test_a_capture_with_fewer_views_follows_a_rerendered_source(tmp_path):
     assert (few / "images").resolve() == elsewhere / "images"
 
 
+@pytest.mark.slow
 def test_without_f_e_in_stage_2_the_mesh_is_the_same(tmp_path, monkeypatch):
     from benchmarks.scoring.materials import read_materials
     from benchmarks.stress.scenes import Case, tiny_preset, write_capture

@@ -66,6 +66,7 @@ def code_of(events):
     return next(event for event in events if event["event"] == "scene")["lines"][0]["code"]
 
 
+@pytest.mark.slow
 def test_shaken_cameras_come_back(photos, tmp_path):
     given = shaken(0.3, 0.01)
     capture, events = improved(capture_with(photos, given, tmp_path / "given"), tmp_path / "out")

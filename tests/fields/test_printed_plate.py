@@ -44,7 +44,7 @@ def test_the_print_is_no_part_of_the_object(printed):
     assert overlap(still_silhouettes(printed, PLANE), printed) > 0.8
 
 
-@pytest.mark.parametrize("kind", ["printed", "plain"])
+@pytest.mark.parametrize("kind", [pytest.param("printed", marks=pytest.mark.slow), "plain"])
 def test_a_wide_plate_turns_beside_the_sphere_too(kind, tmp_path, monkeypatch):
     monkeypatch.setattr(turning_ball, "PLATE", 2.0)
     rays = turning_ball.turning_ball(tmp_path, kind)[0]

@@ -51,11 +51,11 @@ def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
     capture = load_capture(SUZANNE_SMALL)
     points = (trimesh.sample.sample_surface(truth, 2000, seed=0)[0] - capture.object_center) / capture.object_radius
     points = torch.from_numpy(points).float()
-    chosen = brief_preset(steps=150, object_rays=512, sphere_rays=512, outside_rays=512, least_explanation_ratio=0.0)
+    chosen = brief_preset(steps=50, object_rays=512, sphere_rays=512, outside_rays=512, least_explanation_ratio=0.0)
     before = FieldsLearning(Scene.of(masked_rays), chosen, 0).object_field.sdf(points).abs().mean()
     learned = learn_fields(Scene.of(masked_rays), chosen, seed=0, progress=no_progress, checkpoint=NoCheckpoint())
     after = learned.object_field.sdf(points).abs().mean()
-    assert after < 0.5 * before, f"{before:.4f} -> {after:.4f}"
+    assert after < 0.2 * before, f"{before:.4f} -> {after:.4f}"
     copy = Fields.from_state(learned.state(), chosen, CPU)
     torch.testing.assert_close(copy.object_field.sdf(points), learned.object_field.sdf(points))
     direction = torch.nn.functional.normalize(points, dim=-1)

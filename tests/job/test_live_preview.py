@@ -47,6 +47,7 @@ def flat(value) -> dict:
     return {"": value}
 
 
+@pytest.mark.slow
 def test_learning_is_the_same_with_and_without(rays, capture, tmp_path, monkeypatch):
     monkeypatch.setattr(live_preview, "GRID", 24)
     protocol = io.StringIO()

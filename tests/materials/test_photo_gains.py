@@ -67,6 +67,7 @@ def test_a_photo_without_samples_keeps_its_gain():
     assert float(found[PHOTOS]) == 1
 
 
+@pytest.mark.slow
 def test_the_albedo_is_that_of_evened_photos(ball):
     albedo, *_ = BRONZE
     photos = make_photos(constant(*BRONZE))

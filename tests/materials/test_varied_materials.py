@@ -64,8 +64,12 @@ def varied(ball, photos_of_paints):
     return learn(ball, photos_of_paints, MORE)
 
 
-def test_many_paints_and_gold_leaf_get_materials_of_their_own(ball, photos_of_paints, varied):
-    few = learn(ball, photos_of_paints, FEW)
+@pytest.fixture(scope="module")
+def few(ball, photos_of_paints):
+    return learn(ball, photos_of_paints, FEW)
+
+
+def test_many_paints_and_gold_leaf_get_materials_of_their_own(ball, varied, few):
     assert varied.report["segments"] > 50 and "segments" not in few.report
     assert few.report["skipped"]["materials that vary from place to place"]["code"] == "reason.preset"
     assert "unseen_light_gain" not in varied.report, "the photos show all light, so none was learned"
@@ -283,6 +287,7 @@ def test_tarnish_varies_within_places_of_metal(ball):
     assert np.corrcoef(shown, truth)[0, 1] > 0.95 and np.abs(shown - truth).mean() < 0.06
 
 
+@pytest.mark.slow
 def test_tarnish_varies_on_an_object_of_metal(ball):
     """Its class is not in doubt, so segments that explain a little more are enough, and all of them are metal."""
 
@@ -299,7 +304,7 @@ def test_tarnish_varies_on_an_object_of_metal(ball):
 
 
 @pytest.mark.slow
-def test_paints_vary_beside_metal_of_the_palette(ball, photos_of_paints, monkeypatch):
+def test_paints_vary_beside_metal_of_the_palette(ball, photos_of_paints, few, monkeypatch):
     """Below the gain from which segments tell their classes, the palette and edges of color tell them."""
     searches, found = [], varied_learning.VariedLearning.found
 
@@ -308,11 +313,11 @@ def test_paints_vary_beside_metal_of_the_palette(ball, photos_of_paints, monkeyp
         return found(self, search, palette, unseen_learned)
 
     monkeypatch.setattr(varied_learning.VariedLearning, "found", noted)
-    few = errors(ball, learn(ball, photos_of_paints, FEW), many_paints)
+    worse = errors(ball, few, many_paints)
     varied = learn(ball, photos_of_paints, replace(MORE, varied_gain=9.0))
     more = errors(ball, varied, many_paints)
     assert varied.report["segments"] > 50 and varied.report["varied_gain"] >= MORE.varied_gain_of_both
-    assert more[0] < 0.6 * few[0] and more[2] < 0.03
+    assert more[0] < 0.6 * worse[0] and more[2] < 0.03
     search, palette = searches[0]
     held_out = torch.from_numpy(np.random.default_rng(0).random(len(palette.label)) < 0.25)
     free = replace(palette, metal=None)

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from blender_nep.fields.environment.grid import resample
-from blender_nep.ops.environment.cones import composite_cones
+from blender_nep.ops.environment.cones import Levels, composite_cones
 from blender_nep.ops.environment.segments import contracted_length, contracted_radius, far_share
 from blender_nep.ops.environment.spherical_grid import COLOR_LIMIT
 from blender_nep.ops.environment.weights import from_weights, weights_from_center
@@ -113,15 +113,16 @@ class PrefilteredEnvironment:
         # a shell that is nowhere visible from the center needs no lookup
         self.occupied = values[..., 3].amax((1, 2)) > 1e-4
         radius = TENT_RADIUS * math.pi / values.shape[1]
-        self.levels, self.radii = [from_weights(values)], [radius]
+        levels, self.radii = [from_weights(values)], [radius]
         while radius < math.pi / 2:
             radius *= RATIO if len(self.radii) == 1 or radius < DENSE_FROM else math.sqrt(RATIO)
             while _divisible(values) and radius > LEAST_TEXELS * math.pi / values.shape[1]:
                 values = _halve(values)
             texel = math.pi / values.shape[1]
             stored = disc_mean(values, math.sqrt(radius**2 - (TENT_RADIUS * texel) ** 2)).clamp(min=0)
-            self.levels.append(from_weights(stored))
+            levels.append(from_weights(stored))
             self.radii.append(radius)
+        self.levels = Levels.joined(levels)
         self.dense_from = max(sum(radius < DENSE_FROM for radius in self.radii), 1)
 
     def query(

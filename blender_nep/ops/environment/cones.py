@@ -20,18 +20,22 @@ from blender_nep.ops.environment.spherical_grid import angular_cell, bilinear_2d
 
 
 @kernel(inline="always", fastmath=True, error_model="numpy")
-def _add_level(grid, k, turn, fall, share, out):
+def _add_level(level, k, turn, fall, share, out):
     """Add share * (bilinear value of shell k) to out [5], in the direction of the `polar` angles turn, fall."""
-    rows, columns = grid.shape[0], grid.shape[1]
+    nodes, start, rows, columns = level
     j, c, fj, fc = cell(turn, fall, rows, columns)
     top, bottom, tl, tr, bl, br = cell_columns(j, c, rows, columns)
+    top, bottom = start + top * columns, start + bottom * columns
     w0 = share * (1.0 - fj) * (1.0 - fc)
     w1 = share * (1.0 - fj) * fc
     w2 = share * fj * (1.0 - fc)
     w3 = share * fj * fc
     for h in range(5):
         out[h] += (
-            w0 * grid[top, tl, k, h] + w1 * grid[top, tr, k, h] + w2 * grid[bottom, bl, k, h] + w3 * grid[bottom, br, k, h]
+            w0 * nodes[top + tl, k, h]
+            + w1 * nodes[top + tr, k, h]
+            + w2 * nodes[bottom + bl, k, h]
+            + w3 * nodes[bottom + br, k, h]
         )
 
 
@@ -43,6 +47,24 @@ def _sharpen(detail, turn, fall, share, out):
     corners, weights = cell_columns(j, c, rows, columns), bilinear_weights(fj, fc)
     for h in range(3):
         out[h] *= 1.0 + share * (bilinear_2d(detail, corners, weights, h) - 1.0)
+
+
+class Levels(NamedTuple):
+    """The levels of a prefiltered environment in one array: a list of arrays would be compiled anew in each process."""
+
+    nodes: np.ndarray
+    """[N, K, 5] of all levels, see `weights.from_weights`"""
+    starts: np.ndarray
+    """[L] int64: the first node of each level"""
+    sizes: np.ndarray
+    """[L, 2] int64: rows and columns of each level"""
+
+    @classmethod
+    def joined(cls, levels: list[np.ndarray]) -> Levels:
+        """The levels, each [H_l, W_l, K, 5]."""
+        nodes = [level.reshape(-1, *level.shape[2:]) for level in levels]
+        starts = np.cumsum([0, *(len(part) for part in nodes[:-1])])
+        return cls(np.concatenate(nodes), starts, np.array([level.shape[:2] for level in levels]))
 
 
 SKY_RADIUS = 1e9
@@ -81,10 +103,11 @@ def _neighbors_first(directions: torch.Tensor, half_angle: torch.Tensor, ratio: 
 @kernel(fastmath=True, error_model="numpy")
 def _composite_block(block, levels_of, radii, dense_from, detail, shell_radii, occupied, far, cones, out, blocks):
     """What `_composite` does in one of its tasks."""
+    nodes, starts, sizes = levels_of
     origins, directions, near, half_angle, order = cones
     n, levels, shells = origins.shape[0], radii.shape[0], shell_radii.shape[0]
     to_level = 1.0 / math.log(radii[1] / radii[0])
-    first, to_finer = math.log(radii[0]), 1.0 / math.log(detail.shape[0] / levels_of[0].shape[0])
+    first, to_finer = math.log(radii[0]), 1.0 / math.log(detail.shape[0] / sizes[0, 0])
     value = np.empty(5)
     for p in range(block * n // blocks, (block + 1) * n // blocks):
         i = order[p]
@@ -111,9 +134,10 @@ def _composite_block(block, levels_of, radii, dense_from, detail, shell_radii, o
             for h in range(5):
                 value[h] = 0.0
             if mix < 1.0:
-                _add_level(levels_of[level], k, turn, fall, 1.0 - mix, value)
+                _add_level((nodes, starts[level], sizes[level, 0], sizes[level, 1]), k, turn, fall, 1.0 - mix, value)
             if mix > 0.0:
-                _add_level(levels_of[level + 1], k, turn, fall, mix, value)
+                finer = (nodes, starts[level + 1], sizes[level + 1, 0], sizes[level + 1, 1])
+                _add_level(finer, k, turn, fall, mix, value)
             if narrower > 0.0 and far[k] > 0.0:
                 _sharpen(detail, turn, fall, far[k] * min(narrower * to_finer, 1.0), value)
             red += passed * value[0]
@@ -180,7 +204,7 @@ def accumulate_coverage(raw, rays, medium, seen):
 
 
 def composite_cones(
-    levels: list[np.ndarray],
+    levels: Levels,
     radii: list[float],
     dense_from: int,
     detail: np.ndarray,
@@ -198,10 +222,9 @@ def composite_cones(
     the levels of a field on a GPU were copied once, when they were prefiltered.
 
     Args:
-        levels: each [H_l, W_l, K, 5], see `weights.from_weights`; radii: angular radii of their discs in
-            radians. Each is larger than the one before it by a constant ratio, and from the level `dense_from` (at least 1)
+        levels: L of them; radii: angular radii [L] of their discs in radians. Each is larger than the one before it by a constant ratio, and from the level `dense_from` (at least 1)
             on by the square root of this ratio.
-        detail: [D, 2 D, 3], D > H_0: the color in each direction divided by its mean over the narrowest disc. Cones narrower
+        detail: [D, 2 D, 3], D > H_0, the rows of the first level: the color in each direction divided by its mean over the narrowest disc. Cones narrower
             than this disc are multiplied by it.
         shell_radii: [K], the sky's may be inf; occupied: [K] bool, whether a shell is looked up;
             far: [K] in 0..1, share of the detail.
@@ -213,7 +236,7 @@ def composite_cones(
     cones = [part.detach().cpu().float() for part in (origins, directions, near, half_angle)]
     order = _neighbors_first(cones[1], cones[3], radii[1] / radii[0])
     _composite(
-        numba.typed.List(levels),
+        levels,
         np.asarray(radii, np.float64),
         float(dense_from),
         detail,
