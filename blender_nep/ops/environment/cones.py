@@ -222,10 +222,10 @@ def composite_cones(
     the levels of a field on a GPU were copied once, when they were prefiltered.
 
     Args:
-        levels: L of them; radii: angular radii [L] of their discs in radians. Each is larger than the one before it by a constant ratio, and from the level `dense_from` (at least 1)
-            on by the square root of this ratio.
-        detail: [D, 2 D, 3], D > H_0, the rows of the first level: the color in each direction divided by its mean over the narrowest disc. Cones narrower
-            than this disc are multiplied by it.
+        levels: L of them; radii: angular radii [L] of their discs in radians. Each is larger than the one before it by a
+            constant ratio, and from the level `dense_from` (at least 1) on by the square root of this ratio.
+        detail: [D, 2 D, 3], with more rows than the first level: the color in each direction divided by its mean over the
+            narrowest disc. Cones narrower than this disc are multiplied by it.
         shell_radii: [K], the sky's may be inf; occupied: [K] bool, whether a shell is looked up;
             far: [K] in 0..1, share of the detail.
         origins, directions: [n, 3]; near: [n], shells nearer than this distance are left out, except the last; half_angle:
