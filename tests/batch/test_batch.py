@@ -321,7 +321,7 @@ def test_a_damaged_state_is_refused_and_kept(batch, text):
     assert batch.run(overwrite=True)[0] == 0
 
 
-@pytest.mark.parametrize("plays", ["slow", "deaf"])
+@pytest.mark.parametrize("plays", [pytest.param("slow", marks=pytest.mark.slow), "deaf"])
 def test_a_killed_batch_leaves_no_orphans_and_goes_on(batch, monkeypatch, plays):
     monkeypatch.setattr("blender_nep.batch.workers.machine._LONGEST_WAIT_S", 0.5)
     for name in ("a", "b"):

@@ -126,6 +126,7 @@ def test_a_failed_run_is_a_row_and_a_done_one_is_not_run_again(tmp_path):
     assert not (tmp_path / "stopped.json").exists()
 
 
+@pytest.mark.slow
 def test_the_truth_scores_perfectly_except_for_a_planted_error(tmp_path, monkeypatch):
     gold = {
         name: read_channels(SUZANNE_SMALL / "gt" / "000.exr")[channel]

@@ -65,7 +65,9 @@ def test_cropped_photos_are_recognized_too(turned, tmp_path):
     assert still.turntable and still.moving is None
 
 
-@pytest.mark.parametrize("share", [0.12, 0.25, 0.42])
+@pytest.mark.parametrize(
+    "share", [pytest.param(0.12, marks=pytest.mark.slow), 0.25, pytest.param(0.42, marks=pytest.mark.slow)]
+)
 def test_a_walk_before_a_far_background_is_no_turntable(tmp_path, share):
     """The background pans by this share of the width from the first photo to the last."""
     rng = np.random.default_rng(3)

@@ -43,7 +43,7 @@ def found_for(photos, *told):
     return curve_of_files(photos, compare_exposures(photos), *told)
 
 
-@pytest.mark.parametrize(("strength", "expected"), [(0.0, 1.0), (1.0, 0.0), (1.6, 0.0)])
+@pytest.mark.parametrize(("strength", "expected"), [(0.0, 1.0), (1.0, 0.0), pytest.param(1.6, 0.0, marks=pytest.mark.slow)])
 def test_the_curve_is_found_whatever_is_expected(room, strength, expected):
     gains = exposed(room.views)
     photos = photographed(room, gains, strength)

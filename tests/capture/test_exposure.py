@@ -89,7 +89,7 @@ def test_exposures_of_renderings_are_found_to_a_tenth_of_a_stop(deviation):
     assert difference(find_exposures(taken_with(rays, true)).gain, true) < TENTH_OF_A_STOP
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.3])
+@pytest.mark.parametrize("tilt", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_exposures_are_found_above_a_table_too(tmp_path, monkeypatch, tilt):
     folder = write_table_scene(tmp_path / "capture", tilt=tilt, elevations=(10, 15, 60))
     table = PixelRays.from_capture(load_capture(folder), 40_000, False)

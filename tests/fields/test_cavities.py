@@ -35,7 +35,7 @@ def of_thickness(wall: float):
     return lambda points: pot(points, wall)
 
 
-@pytest.mark.parametrize("wall", [0.06, 0.1, 0.18])
+@pytest.mark.parametrize("wall", [0.06, *(pytest.param(wall, marks=pytest.mark.slow) for wall in (0.1, 0.18))])
 def test_a_painted_pot_is_opened_down_to_its_wall(tmp_path, wall):
     true = in_cells(of_thickness(wall))
     opened = CLOSED + difference_for(pixels(write_pot_scene(tmp_path / "pot", of_thickness(wall))), CLOSED)

@@ -47,13 +47,13 @@ def test_a_hostile_case_gives_a_sound_asset_or_a_clear_refusal(tmp_path_factory,
 @pytest.mark.parametrize(
     "case",
     [
-        Case(bfloat16=True, told="yes"),
-        Case(offset=1e6, told="yes"),
+        pytest.param(Case(bfloat16=True, told="yes"), marks=pytest.mark.slow),
+        pytest.param(Case(offset=1e6, told="yes"), marks=pytest.mark.slow),
         Case(offset=1e6, scale=1e-4, told="no", metallic=0.0),
         Case(duplicates="pairs", told="yes", pixels="negative"),
         Case(distance=100.0, told="yes", pixels="huge"),
         Case(mesh="soup", told="yes", pixels="nan", views=3),
-        Case(turntable="told", told="yes"),
+        pytest.param(Case(turntable="told", told="yes"), marks=pytest.mark.slow),
     ],
     ids=lambda case: digest(case),
 )

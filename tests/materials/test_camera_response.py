@@ -64,6 +64,7 @@ def test_the_strength_is_found_whatever_is_expected(ball, linear, material, stre
         assert len(tried.errors) == len(tried.strengths)
 
 
+@pytest.mark.slow
 def test_the_albedo_is_that_of_the_light_before_the_curve(ball, linear):
     albedo, *_ = BRONZE
     curve = curve_of(1.0)

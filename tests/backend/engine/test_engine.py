@@ -93,7 +93,8 @@ os.kill(os.getpid(), 9)
 """
 
 
-@pytest.mark.parametrize("keep_going", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("keep_going", [True, False])
 def test_a_job_outlives_its_starter_only_with_keep_going(ball, keep_going):
     """With keep_going the job goes on, is found, stopped by its file and resumed. Otherwise it writes its checkpoint."""
     arguments = reconstruct_arguments(ball.capture, ball.out, preset="preview", keep_going=keep_going)

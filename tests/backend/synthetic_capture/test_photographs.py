@@ -36,6 +36,7 @@ def clean(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_test_views_and_the_ground_truth_stay_clean(clean, tmp_path):
     synthesize(tmp_path, *SMALL, "--photograph", "photographer", "aperture", "framing", "camera")
     assert meta_of(clean, "transforms_test.json") == meta_of(tmp_path, "transforms_test.json")
