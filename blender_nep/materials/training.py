@@ -264,13 +264,14 @@ class _MaterialLearner:
             self._skip(Part.PHOTOGRAPHER, Message("reason.too_few_photos"))
             return
         self.report.photographer_errors = errors
+        self.report.photographer = round(strength, 4) or None
         if strength:
-            self.search = self.search.under(self.light.behind(strength))
-            self.report.photographer = round(self.light.photographer, 4)
             self.report.skipped.pop(str(Part.PHOTOGRAPHER), None)
-            self.known_metallic = None  # it was decided in another light
-        elif not self.report.photographer:
+        else:
             self._skip(Part.PHOTOGRAPHER, Message("reason.no_photographer"))
+        if strength != self.light.photographer:
+            self.search = self.search.under(self.light.behind(strength - self.light.photographer))
+            self.known_metallic = None  # it was decided in another light
 
     def _grow_palette(self) -> None:
         self._even_out_object()

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from blender_nep.capture.cameras.upright import upward
 
-_LEVEL, _BELOW, _CAMERA = 0.8, 0.5, 0.3
-"""How dark the lobes towards the body, the floor before it, and the camera are: logarithms of what is left at strength 1"""
+_LEVEL, _CAMERA = 0.8, 0.3
+"""How dark the lobes towards the body and the camera are: logarithms of what is left at strength 1"""
 _WIDE, _NARROW = 4.0, 8.0
-"""Sharpness of the lobes: exp(sharpness * (cos - 1)). The wide ones are half as strong 34 degrees from their middle."""
+"""Sharpness of the lobes: exp(sharpness * (cos - 1)). The wide one is half as strong 34 degrees from its middle."""
 _BESIDE = 0.3
 """The body fades if the camera is nearer to straight above than this, as a sine."""
 STRENGTHS = (0.75, 1.5, 2.25, 3.0)
@@ -62,8 +61,7 @@ def shadow(direction: Tensor, view: Tensor, up: Tensor) -> Tensor:
     aside = view - (view * up).sum(-1, keepdim=True) * up
     length = aside.norm(dim=-1, keepdim=True)
     level = aside / length.clamp_min(1e-6)
-    below = functional.normalize(level - up, dim=-1)
-    body = _LEVEL * _lobe(direction, level, _WIDE) + _BELOW * _lobe(direction, below, _WIDE)
+    body = _LEVEL * _lobe(direction, level, _WIDE)
     return body * (length[..., 0] / _BESIDE).clamp_max(1) + _CAMERA * _lobe(direction, view, _NARROW)
 
 

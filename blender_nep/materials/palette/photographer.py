@@ -31,52 +31,60 @@ _SAMPLES = 6000
 """Photo samples that are fitted and predicted"""
 _REGION = 1.5
 """Width of the regions in which the material counts as one, in widths of the preset's regions: there are fewer samples"""
-_HELD_OUT = 4
-"""One photo of this many is held out."""
+_FOLDS = 4
+"""Each photo is predicted from those of the other folds."""
 
 
 @profiled("photographer")
 def found_strength(samples: PhotoSamples, light: IncomingLight, preset: MaterialPreset) -> tuple[float, dict[str, float]]:
-    """How strong the person is in `light`, beyond what it has of one already, and {strength: error of held-out photos}.
+    """How strong the person is, and {strength: error of held-out photos}. `light` may have a person of any strength.
 
     0 if nobody explains the photos clearly better, or if there are too few photos.
     """
     some = torch.linspace(0, len(samples) - 1, min(_SAMPLES, len(samples))).long().to(samples.photo.device)
-    held = samples.photo[some] % _HELD_OUT == 0
-    if not bool(held.any()) or bool(held.all()):
-        return 0.0, {}
     region, count = regions(samples.position[some.cpu().numpy()], _REGION * preset.region)
     group, groups = torch.from_numpy(region).to(some.device), len(count)
     target, even = samples.radiance[some], torch.ones(len(some), device=some.device)
-    fitted = torch.where(held, -1, group)
-    told = held & (torch.bincount(group[~held], minlength=groups) > 0)[group]
-    photo = samples.photo[some][told]
-    shown, errors = torch.bincount(photo), []
+    photo = samples.photo[some]
+    held_out = [photo % _FOLDS == fold for fold in range(_FOLDS)]
+    # Of a region that no other photo shows, nothing is predicted.
+    told = [held & (torch.bincount(group[~held], minlength=groups) > 0)[group] for held in held_out]
+    shown = torch.bincount(photo[torch.stack(told).any(0)])
     if int((shown > 0).sum()) < LEAST_PHOTOS:
         return 0.0, {}
+    errors = []
     for strength in STRENGTHS:
-        lit = light.moments_behind(strength, some)
-        cost, albedo = fit_groups(
-            lit,
-            target,
-            even,
-            fitted,
-            groups,
-            least_roughness=preset.least_roughness,
-            clip=preset.clip,
-            hypotheses=preset.metallic,
-        )
-        material = best_of(cost, albedo, preset.least_roughness, preset.metallic, 1.0).at(group)
-        errors.append(error(lit, target, even, material, preset.clip)[told].double())
-    means = [float(each.mean()) for each in errors]
-    gain = torch.zeros(len(shown), dtype=torch.float64, device=some.device).index_add_(0, photo, errors[0] - errors[1])
-    strength = _best(means) if _sure((gain / shown)[shown > 0]) else 0.0
+        lit = light.moments_behind(strength - light.photographer, some)
+        of_photo = torch.zeros(len(shown), dtype=torch.float64, device=some.device)
+        for held, known in zip(held_out, told, strict=True):
+            cost, albedo = fit_groups(
+                lit,
+                target,
+                even,
+                torch.where(held, -1, group),
+                groups,
+                least_roughness=preset.least_roughness,
+                clip=preset.clip,
+                hypotheses=preset.metallic,
+            )
+            material = best_of(cost, albedo, preset.least_roughness, preset.metallic, 1.0).at(group)
+            of_photo.index_add_(0, photo[known], error(lit, target, even, material, preset.clip)[known].double())
+        errors.append(of_photo)
+    means = [float(each.sum() / shown.sum()) for each in errors]
+    strength = _best(means) if _sure(errors[0] - errors[1], shown) else 0.0
     return strength, {f"{s:g}": round(e, 5) for s, e in zip(STRENGTHS, means, strict=True)}
 
 
-def _sure(gain: torch.Tensor) -> bool:
-    """Whether gains [photos] are not chance."""
-    return float(gain.mean()) > LEAST_SURE * float(gain.std()) / len(gain) ** 0.5
+def _sure(gain: torch.Tensor, shown: torch.Tensor) -> bool:
+    """Whether the mean gain of a sample is not chance: gain [photos], the sum over a photo's samples; shown, their number.
+
+    A photo is what varies by chance: its samples have one light. The error is that of a ratio of sums (Cochran, Sampling
+    Techniques, 6.4).
+    """
+    gain, shown = gain[shown > 0], shown[shown > 0].double()
+    rest = gain - gain.sum() / shown.sum() * shown
+    deviation = (rest.square().sum() * len(gain) / (len(gain) - 1)).sqrt()
+    return float(gain.sum()) > LEAST_SURE * float(deviation)
 
 
 def _best(errors: list[float]) -> float:
