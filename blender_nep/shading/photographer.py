@@ -12,13 +12,15 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from blender_nep.capture.cameras.upright import upward
 
-_LEVEL, _CAMERA = 0.8, 0.3
-"""How dark the lobes towards the body and the camera are: logarithms of what is left at strength 1"""
-_WIDE, _NARROW = 4.0, 8.0
-"""Sharpness of the lobes: exp(sharpness * (cos - 1)). The wide one is half as strong 34 degrees from its middle."""
+_BODY, _FLOOR, _HEAD = 0.8, 0.2, 0.3
+"""How dark the lobes towards the body, the floor before it, and the camera are: logarithms of what is left at strength 1"""
+_OF_BODY, _OF_FLOOR, _OF_HEAD = 3.0, 1.5, 8.0
+"""Sharpness of the lobes towards the body, the floor and the camera: exp(sharpness * (cos - 1)). They are half as strong 34,
+57 and 24 degrees from their middles."""
 _BESIDE = 0.3
 """The body fades if the camera is nearer to straight above than this, as a sine."""
 STRENGTHS = (0.75, 1.5, 2.25, 3.0)
@@ -61,8 +63,10 @@ def shadow(direction: Tensor, view: Tensor, up: Tensor) -> Tensor:
     aside = view - (view * up).sum(-1, keepdim=True) * up
     length = aside.norm(dim=-1, keepdim=True)
     level = aside / length.clamp_min(1e-6)
-    body = _LEVEL * _lobe(direction, level, _WIDE)
-    return body * (length[..., 0] / _BESIDE).clamp_max(1) + _CAMERA * _lobe(direction, view, _NARROW)
+    body = functional.normalize(level + view, dim=-1)
+    floor = functional.normalize(level - up, dim=-1)
+    dark = _BODY * _lobe(direction, body, _OF_BODY) + _FLOOR * _lobe(direction, floor, _OF_FLOOR)
+    return dark * (length[..., 0] / _BESIDE).clamp_max(1) + _HEAD * _lobe(direction, view, _OF_HEAD)
 
 
 def _lobe(direction: Tensor, middle: Tensor, sharpness: float) -> Tensor:
