@@ -264,7 +264,7 @@ class _MaterialLearner:
             self._skip(Part.PHOTOGRAPHER, Message("reason.too_few_photos"))
             return
         self.report.photographer_errors = errors
-        self.report.photographer = round(strength, 4) or None
+        self.report.photographer = round(strength, 4)
         if strength:
             self.report.skipped.pop(str(Part.PHOTOGRAPHER), None)
         else:

@@ -16,9 +16,9 @@ from torch.nn import functional
 
 from blender_nep.capture.cameras.upright import upward
 
-_BODY, _FLOOR, _HEAD = 0.8, 0.2, 0.3
+_BODY, _FLOOR, _HEAD = 0.8, 0.3, 0.3
 """How dark the lobes towards the body, the floor before it, and the camera are: logarithms of what is left at strength 1"""
-_OF_BODY, _OF_FLOOR, _OF_HEAD = 3.0, 1.5, 8.0
+_OF_BODY, _OF_FLOOR, _OF_HEAD = 4.0, 1.5, 8.0
 """Sharpness of the lobes towards the body, the floor and the camera: exp(sharpness * (cos - 1)). They are half as strong 34,
 57 and 24 degrees from their middles."""
 _BESIDE = 0.3
@@ -63,10 +63,9 @@ def shadow(direction: Tensor, view: Tensor, up: Tensor) -> Tensor:
     aside = view - (view * up).sum(-1, keepdim=True) * up
     length = aside.norm(dim=-1, keepdim=True)
     level = aside / length.clamp_min(1e-6)
-    body = functional.normalize(level + view, dim=-1)
-    floor = functional.normalize(level - up, dim=-1)
-    dark = _BODY * _lobe(direction, body, _OF_BODY) + _FLOOR * _lobe(direction, floor, _OF_FLOOR)
-    return dark * (length[..., 0] / _BESIDE).clamp_max(1) + _HEAD * _lobe(direction, view, _OF_HEAD)
+    below = functional.normalize(level - up, dim=-1)
+    body = _BODY * _lobe(direction, level, _OF_BODY) + _FLOOR * _lobe(direction, below, _OF_FLOOR)
+    return body * (length[..., 0] / _BESIDE).clamp_max(1) + _HEAD * _lobe(direction, view, _OF_HEAD)
 
 
 def _lobe(direction: Tensor, middle: Tensor, sharpness: float) -> Tensor:

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from blender_nep.materials import training
+from blender_nep.materials.palette.photographer import found_strength, is_sure
 from blender_nep.shading.photographer import Photographer
 from support.lit_ball import PRESET, constant, learn, make_photos
 
@@ -19,10 +21,21 @@ def photos():
     return make_photos(constant(*BRONZE), views=16, photographer=Photographer(STRENGTH, UP))
 
 
-def test_the_strength_is_found_and_the_albedo_is_right(ball, photos):
+def test_the_strength_is_found_and_the_albedo_is_right(ball, photos, monkeypatch):
+    asked = []
+
+    def noted(*given):
+        asked.append(given)
+        return found_strength(*given)
+
+    monkeypatch.setattr(training, "found_strength", noted)
     found = learn(ball, photos)
     assert found.report["photographer"] == pytest.approx(STRENGTH, abs=0.3)
     np.testing.assert_allclose(found.albedo.reshape(-1, 3).mean(0), BRONZE[0], rtol=0.05)
+    samples, light, preset = asked[0]
+    strength, errors = found_strength(samples, light, preset)
+    too_strong, same = found_strength(samples, light.behind(3.0), preset)
+    assert too_strong == pytest.approx(strength, abs=0.01) and same == pytest.approx(errors, rel=0.02)
 
 
 @pytest.mark.slow
@@ -37,3 +50,11 @@ def test_nobody_is_found_where_nobody_stood(ball):
     assert found.report["skipped"]["photographer"]["code"] == "reason.no_photographer"
     errors = found.report["photographer_errors"]
     assert min(errors, key=errors.get) == "0" and len(errors) == 5
+
+
+def test_a_gain_of_one_photo_is_not_sure():
+    """A photo of many samples gains as much as all others lose, or a little more."""
+    shown = torch.tensor([0, 100, 100, 100, 400])
+    assert is_sure(torch.tensor([0.0, 1.0, 0.9, 1.1, 4.2]), shown)
+    assert not is_sure(torch.tensor([0.0, -1.0, -0.9, -1.1, 6.0]), shown)
+    assert not is_sure(torch.tensor([0.0, -1.0, -0.9, -1.1, -4.2]), shown)

@@ -104,6 +104,7 @@ def test_light_behind_a_photographer_is_that_of_a_darker_world(gathered, strengt
     in_steps = lit.behind(0.3).behind(strength - 0.3)
     torch.testing.assert_close(in_steps.specular, behind.specular)
     assert in_steps.photographer == pytest.approx(strength)
+    torch.testing.assert_close(behind.behind(-strength).specular, lit.specular, rtol=1e-4, atol=1e-5)
     some = torch.tensor([3, 17, 240])
     torch.testing.assert_close(lit.moments_behind(strength, some).specular, behind.specular[some])
     again = behind.updated(None, torch.Generator())

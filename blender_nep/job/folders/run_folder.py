@@ -27,7 +27,7 @@ from blender_nep.presets import Preset
 from blender_nep.safety.plain_files import read_json
 from blender_nep.stop_request import StopRequest
 
-FORMAT = 20
+FORMAT = 21
 """Version of the files in `checkpoints/` and of `report.json`. A run of another version is refused.
 
 Version 3 has new names: the stages (rooms before), and the fields of the preset. Version 6 keeps what a correction of the
@@ -37,7 +37,7 @@ Version 12 keeps the normals of labeled points. Version 13 keeps which parts of 
 keeps the moments of our own optimizers. Version 15 keeps what each refinement of stage 1 has done. Version 16 keeps the
 camera's response curve. Version 17 keeps how the object of a turntable stood where it reflects itself.
 Version 18 keeps how much brighter the object is in each photo. Version 19 keeps where photos end at white.
-Version 20 keeps how much light the photographer takes in each lobe.
+Version 20 keeps how much light the photographer takes in each lobe. Version 21 has another form of the photographer.
 """
 
 

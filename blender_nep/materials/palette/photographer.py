@@ -71,11 +71,11 @@ def found_strength(samples: PhotoSamples, light: IncomingLight, preset: Material
             of_photo.index_add_(0, photo[known], error(lit, target, even, material, preset.clip)[known].double())
         errors.append(of_photo)
     means = [float(each.sum() / shown.sum()) for each in errors]
-    strength = _best(means) if _sure(errors[0] - errors[1], shown) else 0.0
+    strength = _best(means) if is_sure(errors[0] - errors[1], shown) else 0.0
     return strength, {f"{s:g}": round(e, 5) for s, e in zip(STRENGTHS, means, strict=True)}
 
 
-def _sure(gain: torch.Tensor, shown: torch.Tensor) -> bool:
+def is_sure(gain: torch.Tensor, shown: torch.Tensor) -> bool:
     """Whether the mean gain of a sample is not chance: gain [photos], the sum over a photo's samples; shown, their number.
 
     A photo is what varies by chance: its samples have one light. The error is that of a ratio of sums (Cochran, Sampling
