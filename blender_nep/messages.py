@@ -53,6 +53,7 @@ class Part(StrEnum):
     SPREAD = "spread"
     HUE = "hue"
     THIRD_MOMENT = "third_moment"
+    REGIONS = "regions"
 
 
 @dataclass(frozen=True)
@@ -144,6 +145,7 @@ PARTS: dict[str, str] = {
     Part.SPREAD: "how much the light of a metal varies",
     Part.HUE: "the hue of reflections",
     Part.THIRD_MOMENT: "the reflections of colored paint",
+    Part.REGIONS: "how well single places tell their class",
 }
 """{part: its name in sentences for people}"""
 

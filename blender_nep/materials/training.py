@@ -349,7 +349,7 @@ class _MaterialLearner:
         start = time.monotonic()
         others = self._metallic_swapped()
         scan = time.monotonic() - start
-        said = self.search.metal_by_hue(found) if by_hue else torch.zeros_like(found.palette.metallic)
+        said = self.search.class_said(found) if by_hue else torch.zeros_like(found.palette.metallic)
         most_trials = _LATER_TRIALS if by_hue else _FIRST_TRIALS
         unseen, palette, margins = learn_unseen_light(
             light,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-EVIDENCE = ("residual", "spread", "hue", "third_moment")
+EVIDENCE = ("residual", "spread", "hue", "third_moment", "regions")
 """What tells the roughness or the class of a material (`materials.evidence`)."""
 
 
@@ -86,7 +86,8 @@ class MaterialPreset:
     """Share by which the residual of a metal must be lower than that of a dielectric; below 0: may be higher. This prior
     decides where the photos do not. On rendered objects, the residual of the wrong class is 18 to 48 % higher."""
     hue_margin: float = 0.15
-    """Largest share by which the hue of what differs between photos changes a metal's residual (`evidence.hue`)."""
+    """Largest share by which the hue of what differs between photos changes a metal's residual (`evidence.hue`), and what
+    regions say of its class (`evidence.regions`)."""
     metals_are_bright: float = 0.17
     """Share of the error that a metal costs for each unit of the logarithm by which it is darker than metals are, where the
     light that no photo shows decides (`materials.metal_brightness`). 0 turns this prior off."""

@@ -33,7 +33,7 @@ def materials(*without: str) -> FittedMaterials:
     metallic, label = torch.tensor([1.0, 0.0, 0.0]), torch.arange(3)
     preset = replace(MaterialPreset(), without=without, spread_margin=0.0301)
     cost = torch.ones(2, len(ROW), 3)
-    return FittedMaterials(None, nothing, np.zeros((3, 3)), np.zeros(3), label, nothing, metallic, cost, preset)
+    return FittedMaterials(None, nothing, np.zeros((3, 3)), np.zeros(3), label, nothing, metallic, cost, preset, label)
 
 
 @dataclass

@@ -33,6 +33,7 @@ from torch import Tensor
 
 from blender_nep.materials.evidence.hue import Hue
 from blender_nep.materials.evidence.protocol import Evidence, FittedMaterials, OfRoughness
+from blender_nep.materials.evidence.regions import Regions
 from blender_nep.materials.evidence.residual import Residual, SegmentResidual
 from blender_nep.materials.evidence.spread import Spread
 from blender_nep.materials.evidence.third_moment import ThirdMoment
@@ -42,7 +43,7 @@ from blender_nep.messages import Message
 if TYPE_CHECKING:
     from blender_nep.presets import MaterialPreset
 
-ALL: tuple[Evidence, ...] = (Residual(), Spread(), Hue(), ThirdMoment())
+ALL: tuple[Evidence, ...] = (Residual(), Spread(), Hue(), ThirdMoment(), Regions())
 """All evidence. The names are those of `presets.EVIDENCE`."""
 _PLACES = 8
 """Places between two neighboring values of `roughness_scan`, so that the end of the lobes that are alike is found."""

@@ -43,6 +43,8 @@ class FittedMaterials:
     cost: Tensor
     """[M, R, K] mean residual of each hypothesis: one of the M metallic values of the preset, one of R roughness values"""
     preset: MaterialPreset
+    photo: Tensor
+    """[n] int64, the photo of each sample"""
 
     def __len__(self) -> int:
         return len(self.metallic)

@@ -21,6 +21,7 @@ from blender_nep.materials.baking import NEIGHBORS, Places, labels_at, neighbors
 from blender_nep.materials.evidence.decision import Account, decide_metallic, decide_roughness
 from blender_nep.materials.evidence.hue import Hue, evidence_of_metal, places
 from blender_nep.materials.evidence.protocol import FittedMaterials
+from blender_nep.materials.evidence.regions import Regions, class_by_regions
 from blender_nep.materials.fitting import (
     between,
     fit_groups,
@@ -142,15 +143,21 @@ class PaletteSearch:
                 swapped = swapped.with_one(k, fitted)
         return swapped
 
-    def metal_by_hue(self, found: FoundPalette) -> Tensor:
-        """What the hues of each material's samples say: from -1 (dielectric) to 1 (metal), [K].
+    def class_said(self, found: FoundPalette) -> Tensor:
+        """What regions say of each material's class, or else the hues of its samples: -1 (dielectric) to 1 (metal), [K].
 
-        It is right only once the palette is: where samples of a metal are among those of a dielectric, these say metal. 0 if
-        the hue is left out.
+        Hues are right only once the palette is: where samples of a metal are among those of a dielectric, these say metal.
+        0 where neither says anything.
         """
-        if Hue.name in self.preset.without:
-            return torch.zeros_like(found.palette.metallic)
-        return evidence_of_metal(self.light, self.target, self._place, found.label_of_fits, len(found.palette))
+        count, label = len(found.palette), found.label_of_fits
+        said = torch.zeros_like(found.palette.metallic)
+        if Hue.name not in self.preset.without:
+            said = evidence_of_metal(self.light, self.target, self._place, label, count)
+        if count == 1 or len(self.preset.metallic) == 1 or Regions.name in self.preset.without:
+            return said
+        samples = self.samples
+        clear = class_by_regions(self.light, self.target, samples.position, samples.photo, label, count, self.preset)
+        return torch.where(clear != 0, clear, said)
 
     def grown(self, found: FoundPalette, after_choice: Callable[[], None]) -> FoundPalette:
         """Choose materials among those found and candidates from small regions of the surface, and assign the samples.
@@ -217,7 +224,7 @@ class PaletteSearch:
             label = torch.tensor([kept.index(k) for k in into], device=self.device)[found.label]
             found = FoundPalette(found.palette.pick(kept), label, len(found.palette) - len(kept))
         cost, albedos = self._scan(found.label_of_fits, len(kept))
-        without = () if by_hue else (Hue.name,)
+        without = () if by_hue else (Hue.name, Regions.name)
         chosen, account = decide_metallic(self._fitted(found, cost), without, self._plausible(cost, albedos))
         palette = of_classes(chosen, cost, albedos, p.least_roughness, p.metallic)
         return self._decided(replace(found, palette=palette, account=account), cost, albedos)
@@ -305,6 +312,7 @@ class PaletteSearch:
             palette.metallic,
             cost,
             self.preset,
+            self.samples.photo,
         )
 
     def assigned(self, found: FoundPalette, palette: Palette) -> FoundPalette:
