@@ -167,7 +167,8 @@ def test_the_report_says_which_evidence_acted(ball, photos, metallic, acts, monk
     report = learn(ball, photos[metallic], PRESET).report["evidence"]
     assert tuple(report) == EVIDENCE
     assert {name for name, entry in report.items() if "acted" in entry} == acts
-    (other,) = set(EVIDENCE) - acts
+    assert report["regions"]["skipped"]["code"] == "reason.one_material"
+    (other,) = set(EVIDENCE) - acts - {"regions"}
     assert report[other]["skipped"]["code"] == ("reason.all_metal" if metallic else "reason.no_metal")
     assert report["residual"]["acted"][0]["roughness"] == pytest.approx(0.2, abs=0.08)
     assert np.sign(report["hue"]["acted"][0]["metal"]) == 2 * metallic - 1
