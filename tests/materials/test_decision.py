@@ -66,7 +66,7 @@ def vanishing_at(row: float):
 
 @pytest.fixture
 def saying(monkeypatch):
-    """All four say something of the roughness of the materials."""
+    """Four say something of the roughness of the materials."""
     said = (
         Saying(
             "residual", roughness={METAL: OfRoughness(bowl(5)), PAINT: OfRoughness(bowl(10)), RED: OfRoughness(bowl(20))}
