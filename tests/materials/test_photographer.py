@@ -49,7 +49,7 @@ def test_nobody_is_found_where_nobody_stood(ball):
     found = learn(ball, make_photos(constant(*BRONZE), views=16))
     assert found.report["skipped"]["photographer"]["code"] == "reason.no_photographer"
     errors = found.report["photographer_errors"]
-    assert min(errors, key=errors.get) == "0" and len(errors) == 5
+    assert min(errors, key=errors.get) == "0" and len(errors) == 2, "the others were not tried"
 
 
 def test_a_gain_of_one_photo_is_not_sure():

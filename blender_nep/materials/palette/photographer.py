@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from blender_nep.materials.fitting import fit_groups, regions
 from blender_nep.materials.palette.palette import best_of, error
@@ -52,8 +53,8 @@ def found_strength(samples: PhotoSamples, light: IncomingLight, preset: Material
     shown = torch.bincount(photo[torch.stack(told).any(0)])
     if int((shown > 0).sum()) < LEAST_PHOTOS:
         return 0.0, {}
-    errors = []
-    for strength in STRENGTHS:
+
+    def error_of_photos(strength: float) -> Tensor:
         lit = light.moments_behind(strength - light.photographer, some)
         of_photo = torch.zeros(len(shown), dtype=torch.float64, device=some.device)
         for held, known in zip(held_out, told, strict=True):
@@ -69,13 +70,18 @@ def found_strength(samples: PhotoSamples, light: IncomingLight, preset: Material
             )
             material = best_of(cost, albedo, preset.least_roughness, preset.metallic, 1.0).at(group)
             of_photo.index_add_(0, photo[known], error(lit, target, even, material, preset.clip)[known].double())
-        errors.append(of_photo)
+        return of_photo
+
+    errors = [error_of_photos(strength) for strength in STRENGTHS[:2]]
+    sure = is_sure(errors[0] - errors[1], shown)
+    if sure:  # otherwise nobody is there, whatever the others say
+        errors += [error_of_photos(strength) for strength in STRENGTHS[2:]]
     means = [float(each.sum() / shown.sum()) for each in errors]
-    strength = _best(means) if is_sure(errors[0] - errors[1], shown) else 0.0
-    return strength, {f"{s:g}": round(e, 5) for s, e in zip(STRENGTHS, means, strict=True)}
+    tried = zip(STRENGTHS[: len(means)], means, strict=True)
+    return _best(means) if sure else 0.0, {f"{strength:g}": round(mean, 5) for strength, mean in tried}
 
 
-def is_sure(gain: torch.Tensor, shown: torch.Tensor) -> bool:
+def is_sure(gain: Tensor, shown: Tensor) -> bool:
     """Whether the mean gain of a sample is not chance: gain [photos], the sum over a photo's samples; shown, their number.
 
     A photo is what varies by chance: its samples have one light. The error is that of a ratio of sums (Cochran, Sampling
