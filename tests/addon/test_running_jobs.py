@@ -72,6 +72,7 @@ def drawn(bpy, addon) -> list[str]:
     return drawn_by(bpy, addon.panels.reconstruct.NEP_PT_reconstruct)
 
 
+@pytest.mark.slow
 def test_what_photos_show_is_below_the_buttons_also_after_a_stop(folders):
     in_blender(check_box_of_the_photos, folders, **SLOW)
 

@@ -197,6 +197,7 @@ SLOW = {
     *("photos in the folder images, a picture beside it", "the folder is a symbolic link", "the disk is full at the end"),
     *("pycolmap prints to standard output", "places are mirrored, rotations are not", "two photos are exchanged"),
     *("the focal length is twice too long", "cameras look along +z", "2 photos are mirrored"),
+    "cameras in millimeters, the sphere in meters",
 }
 """Cases that search for cameras in 1 to 3 CPU seconds. Of each way in which such a search ends, a quick case stays."""
 

@@ -123,6 +123,7 @@ def test_the_cameras_are_found_relative_to_what_turns(turned, tmp_path):
     assert off["position"] < 0.003 and off["direction_deg"] < 0.1
 
 
+@pytest.mark.slow
 def test_masks_take_the_place_of_what_turns(turned, tmp_path, monkeypatch):
     """Features count on the object of the masks, and a search without features says that no photo could be placed."""
     folder, _, _ = turned

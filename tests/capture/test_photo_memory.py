@@ -45,6 +45,7 @@ The peak is reset, because a process begins with its parent's.
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="only Linux can reset a peak of memory")
 def test_memory_of_a_photo_of_6_megapixels(tmp_path):
     """Opening takes less than four times the memory of the stored pixels; reading in strips takes little besides them."""

@@ -96,6 +96,7 @@ def test_the_search_can_be_ended_between_photos_and_steps(ball):
         assert calls[1] == (2, photos) and len(calls) == last and calls[-1] in ((2, photos), (3, object_sphere._STEPS))
 
 
+@pytest.mark.slow
 def test_a_sphere_that_cuts_the_object_is_kept_and_is_unsure(ball):
     small = replace(ball, object_center=CENTER + np.array([0.2, 0, 0]), object_radius=0.4)
     found = find_object_sphere(small)

@@ -189,7 +189,9 @@ job.run(settings, Events(), StopRequest(), BallStages(steps=150, on_step=lambda 
 """
 
 
-@pytest.mark.parametrize("file", ["fields_learning.previous.pt", "surface.done.pt", "material_learning.pt"])
+@pytest.mark.parametrize(
+    "file", ["fields_learning.previous.pt", pytest.param("surface.done.pt", marks=pytest.mark.slow), "material_learning.pt"]
+)
 def test_a_killed_process_is_resumed(start, file):
     """kill -9 as soon as a file appears; the run then goes on from it and gives an asset."""
     script = SLOW_JOB.format(tests=str(TESTS), capture=str(start.folder), out=str(start.out))

@@ -128,13 +128,13 @@ def test_what_no_photo_shows_does_not_darken_a_metal(ball):
     assert result.metallic.all() and np.abs(result.albedo - albedo).max() < 0.05
 
 
-BLACK_MIRRORING_PAINT, WHITE_ROUGH_METAL = (0.0, 0.0, 0.02), (1.0, 1.0, 1.0)
+BLACK_MIRRORING_PAINT = (0.0, 0.0, 0.02)
 
 
 @pytest.mark.parametrize(
     ("albedo", "metallic", "roughness"),
     [
-        pytest.param(*values, marks=[pytest.mark.slow] * (values not in (BLACK_MIRRORING_PAINT, WHITE_ROUGH_METAL)))
+        pytest.param(*values, marks=[pytest.mark.slow] * (values != BLACK_MIRRORING_PAINT))
         for values in itertools.product((0.0, 1.0), (0.0, 1.0), (0.02, 1.0))
     ],
 )
