@@ -145,7 +145,7 @@ PARTS: dict[str, str] = {
     Part.SPREAD: "how much the light of a metal varies",
     Part.HUE: "the hue of reflections",
     Part.THIRD_MOMENT: "the reflections of colored paint",
-    Part.REGIONS: "how well single places tell their class",
+    Part.REGIONS: "what small places tell of metal and paint",
 }
 """{part: its name in sentences for people}"""
 

@@ -51,7 +51,7 @@ PARTS = {
     "spread": "how much the light of a metal varies",
     "hue": "the hue of reflections",
     "third_moment": "the reflections of colored paint",
-    "regions": "how well single places tell their class",
+    "regions": "what small places tell of metal and paint",
 }
 """Parts of the work that the engine may leave out: the engine's name of a part -> the panel's words."""
 

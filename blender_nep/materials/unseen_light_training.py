@@ -45,7 +45,7 @@ def learn_unseen_light(
     swapped: Palette | None,
     label: Tensor,
     target: Tensor,
-    metal_by_hue: Tensor,
+    class_said: Tensor,
     most_trials: int,
     preset: MaterialPreset,
     generator: torch.Generator,
@@ -58,7 +58,7 @@ def learn_unseen_light(
     as in `swapped`, where metals and dielectrics are swapped (None: the classes are known). If the object turned, all
     materials are tried together first, as dielectrics and as metals. Then the roughness of each is lowered
     or raised by a quarter, as long as that helps, at most `most_trials` times. The light is learned anew in each trial, and
-    after_trial() is called. `preset.metal_margin` and what the hues of each material say, metal_by_hue [K] in -1..1, favor
+    after_trial() is called. `preset.metal_margin` and what regions or hues say, class_said [K] in -1..1, favor
     one of the classes. In the end, metals that are darker than is likely become brighter, and the light dimmer, as far as
     the photos allow it (`preset.metals_are_bright`).
 
@@ -88,10 +88,10 @@ def learn_unseen_light(
             other = palette.with_one(k, next(kinds[m] for m in kinds if m != float(palette.metallic[k])))
             fit = solve(other, preset.unseen_steps, start)
             change = float(other.metallic[k] - palette.metallic[k])
-            prior, by_hue = factors_of_change(change, float(metal_by_hue[k]), preset)
-            if by_hue * prior * fit.error < best.error:
-                best, fit, palette, by_hue = fit, best, other, 1 / by_hue  # by_hue is for `fit`, which is now the other
-            margins.append(by_hue * fit.error / best.error - 1)
+            prior, by_said = factors_of_change(change, float(class_said[k]), preset)
+            if by_said * prior * fit.error < best.error:
+                best, fit, palette, by_said = fit, best, other, 1 / by_said  # it is for `fit`, which is now the other
+            margins.append(by_said * fit.error / best.error - 1)
     for k in range(len(palette)):
         for factor in preset.unseen_roughness_factors:
             first = best

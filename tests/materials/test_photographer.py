@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from blender_nep.materials import training
-from blender_nep.materials.palette.photographer import found_strength, is_sure
+from blender_nep.materials.evidence.held_out import standard_errors
+from blender_nep.materials.palette.photographer import found_strength
 from blender_nep.shading.photographer import Photographer
 from support.lit_ball import PRESET, constant, learn, make_photos
 
@@ -55,6 +56,7 @@ def test_nobody_is_found_where_nobody_stood(ball):
 def test_a_gain_of_one_photo_is_not_sure():
     """A photo of many samples gains as much as all others lose, or a little more."""
     shown = torch.tensor([0, 100, 100, 100, 400])
-    assert is_sure(torch.tensor([0.0, 1.0, 0.9, 1.1, 4.2]), shown)
-    assert not is_sure(torch.tensor([0.0, -1.0, -0.9, -1.1, 6.0]), shown)
-    assert not is_sure(torch.tensor([0.0, -1.0, -0.9, -1.1, -4.2]), shown)
+    assert standard_errors(torch.tensor([0.0, 1.0, 0.9, 1.1, 4.2]), shown) > 5
+    assert 0 < standard_errors(torch.tensor([0.0, -1.0, -0.9, -1.1, 6.0]), shown) < 2
+    assert standard_errors(torch.tensor([0.0, -1.0, -0.9, -1.1, -4.2]), shown) < -5
+    assert standard_errors(torch.tensor([1.0, 0.0]), torch.tensor([50, 0])) == 0

@@ -1,7 +1,7 @@
 """Joins what all evidence says: it decides the class (metal or dielectric) and the roughness of materials.
 
 **The class** has the least product of all costs and of the prior (`preset.metal_margin`). The unseen light is learned with
-the same prior and the same hues (`factors_of_change`).
+the same prior and the same hues (`factors_of_change`). Where regions are clear, they outweigh the hue.
 
 **The roughness of a metal.** The residual gives a range of roughness values, and within the range the spread decides. Among
 lobes that are sharper than the light, which have the spread of a mirror, the residual decides. If the photos vary more than
@@ -227,12 +227,12 @@ def shift_of_dielectrics(
     return float(np.average(moved, weights=weight)) if sum(weight) > 0 else 0.0
 
 
-def factors_of_change(change: float, metal_by_hue: float, preset: MaterialPreset) -> tuple[float, float]:
-    """Factors of an error if the metallic of a material changes by `change`: by the prior, and by what its hues say.
+def factors_of_change(change: float, class_said: float, preset: MaterialPreset) -> tuple[float, float]:
+    """Factors of an error if the metallic of a material changes by `change`: by the prior, and by what regions or hues say.
 
-    metal_by_hue is from -1 (dielectric) to 1 (metal).
+    class_said is from -1 (dielectric) to 1 (metal).
     """
-    return 1 + preset.metal_margin * change, 1 - preset.hue_margin * metal_by_hue * change
+    return 1 + preset.metal_margin * change, 1 - preset.hue_margin * class_said * change
 
 
 def share_roughness(residual: Tensor, weight: Tensor, margin: float) -> Tensor:

@@ -2,7 +2,7 @@
 
 A palette has few materials. So one of the wrong class may explain a varied object as well as the right one does. A region
 has one material of its own: it is fitted to three of four photos as a metal and as a dielectric, and predicts the others. A
-wrong shape or a wrong light speaks for one class everywhere: on embossed gold, all regions say dielectric. So regions say
+wrong shape or a wrong light speaks for one class everywhere: on embossed gold, regions say dielectric. So they say
 something only of an object on which some materials are clearly metal, and others clearly not (docs/lab/metal-or-not.md).
 """
 
@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from blender_nep.materials.evidence.held_out import FOLDS, standard_errors
 from blender_nep.materials.evidence.protocol import Evidence, FittedMaterials, OfMetallic
 from blender_nep.materials.fitting import between, fit_groups, place_of_least, regions, roughness_scan
 from blender_nep.messages import Message, Part
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 _WIDTH = 1.5
 """Width of a region, in widths of the preset's regions"""
-_FOLDS = 4
-"""Each photo is predicted from those of the other folds."""
 _CLEAR = 0.1
 """Logarithm of the ratio of both classes' errors from which a material is clearly of one. On three captures with paint and
 metal it is 0.17 to 0.3 and more in both directions."""
@@ -89,8 +88,8 @@ def _held_out_errors(
     scan = roughness_scan(preset.least_roughness, target.device)
     classes = (min(preset.metallic), max(preset.metallic))
     errors = torch.full((2, len(target)), torch.nan, dtype=torch.float64, device=target.device)
-    for fold in range(_FOLDS):
-        held = photo % _FOLDS == fold
+    for fold in range(FOLDS):
+        held = photo % FOLDS == fold
         told = held & (torch.bincount(own[~held], minlength=len(count)) > 0)[own]
         cost, albedo = fit_groups(
             light,
@@ -119,11 +118,6 @@ def _clear_class(dielectric: Tensor, metal: Tensor, photo: Tensor, chosen: Tenso
         return 0
     photo, gain = photo[chosen], (dielectric - metal)[chosen]
     ratio = float((dielectric[chosen].mean() / metal[chosen].mean().clamp_min(1e-9)).clamp_min(1e-9).log())
-    samples = torch.bincount(photo).double()
-    rest = torch.bincount(photo, gain) - gain.mean() * samples
-    photos = int((samples > 0).sum())
-    if photos == 1:
-        return 0
-    deviation = float((rest.square().sum() * photos / (photos - 1)).sqrt())
-    clear = abs(ratio) > _CLEAR and abs(float(gain.sum())) > _SURE * deviation
+    sure = abs(standard_errors(torch.bincount(photo, gain), torch.bincount(photo))) > _SURE
+    clear = abs(ratio) > _CLEAR and sure
     return (1 if ratio > 0 else -1) if clear else 0

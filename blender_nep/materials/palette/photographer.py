@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from blender_nep.materials.evidence.held_out import FOLDS, standard_errors
 from blender_nep.materials.fitting import fit_groups, regions
 from blender_nep.materials.palette.palette import best_of, error
 from blender_nep.profiling import profiled
@@ -32,8 +33,6 @@ _SAMPLES = 6000
 """Photo samples that are fitted and predicted"""
 _REGION = 1.5
 """Width of the regions in which the material counts as one, in widths of the preset's regions: there are fewer samples"""
-_FOLDS = 4
-"""Each photo is predicted from those of the other folds."""
 
 
 @profiled("photographer")
@@ -47,7 +46,7 @@ def found_strength(samples: PhotoSamples, light: IncomingLight, preset: Material
     group, groups = torch.from_numpy(region).to(some.device), len(count)
     target, even = samples.radiance[some], torch.ones(len(some), device=some.device)
     photo = samples.photo[some]
-    held_out = [photo % _FOLDS == fold for fold in range(_FOLDS)]
+    held_out = [photo % FOLDS == fold for fold in range(FOLDS)]
     # Of a region that no other photo shows, nothing is predicted.
     told = [held & (torch.bincount(group[~held], minlength=groups) > 0)[group] for held in held_out]
     shown = torch.bincount(photo[torch.stack(told).any(0)])
@@ -73,24 +72,12 @@ def found_strength(samples: PhotoSamples, light: IncomingLight, preset: Material
         return of_photo
 
     errors = [error_of_photos(strength) for strength in STRENGTHS[:2]]
-    sure = is_sure(errors[0] - errors[1], shown)
+    sure = standard_errors(errors[0] - errors[1], shown) > LEAST_SURE
     if sure:  # otherwise nobody is there, whatever the others say
         errors += [error_of_photos(strength) for strength in STRENGTHS[2:]]
     means = [float(each.sum() / shown.sum()) for each in errors]
     tried = zip(STRENGTHS[: len(means)], means, strict=True)
     return _best(means) if sure else 0.0, {f"{strength:g}": round(mean, 5) for strength, mean in tried}
-
-
-def is_sure(gain: Tensor, shown: Tensor) -> bool:
-    """Whether the mean gain of a sample is not chance: gain [photos], the sum over a photo's samples; shown, their number.
-
-    A photo is what varies by chance: its samples have one light. The error is that of a ratio of sums (Cochran, Sampling
-    Techniques, 6.4).
-    """
-    gain, shown = gain[shown > 0], shown[shown > 0].double()
-    rest = gain - gain.sum() / shown.sum() * shown
-    deviation = (rest.square().sum() * len(gain) / (len(gain) - 1)).sqrt()
-    return float(gain.sum()) > LEAST_SURE * float(deviation)
 
 
 def _best(errors: list[float]) -> float:
