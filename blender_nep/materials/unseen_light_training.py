@@ -262,15 +262,19 @@ class UnseenLightProblem:
         rows = len(unseen.missing)
         area = torch.sin((torch.arange(rows, device=self.goal.device) + 0.5) * math.pi / rows)[:, None, None]
         self._area, self._expected = area / area.mean(), tone_map(unseen.expected)
+        hidden = unseen.missing[..., None] * area
+        self._hidden = hidden / hidden.sum().clamp_min(1e-9)
+        self._usual = self._brightness(unseen.expected)
 
     def solve(self, palette: Palette, start: UnseenLight, steps: int, known: Tensor | None = None) -> UnseenFit:
         """Find the map and the albedos that explain the photos best, with the palette's roughness and metallic.
 
         Adam starts from `start`, brightened if that helps; texels darker than _LEAST_START are raised to that radiance. With
         `known` albedos [K, 3], Adam starts from `start` as it is and from these albedos, and those of metals stay.
-        There are three priors on the map: the total variation of its tone-mapped radiance, the mean deviation of that from
-        the expected one, and its color. The prior on the deviation makes a few lamps more likely than a bright sky. The one
-        on the color is needed because colored light on a gray object looks like gray light on a colored object.
+        There are four priors on the map: the total variation of its tone-mapped radiance, the mean deviation of that from
+        the expected one, its color, and, with little weight, how bright it is as a whole. The prior on the deviation makes a
+        few lamps more likely than a bright sky. The one on the color is needed because colored light on a gray object looks
+        like gray light on a colored object.
         """
         p, device, missing = self.preset, self.goal.device, self.unseen.missing
         offset, slope, response, transport = self._lines(palette)
@@ -302,8 +306,9 @@ class UnseenLightProblem:
             photometric.backward()
             assert sent.grad is not None  # backward has just filled it
             gradient = transport.adjoint(response, sent.grad.cpu().numpy())
-            prior = self._prior(radiance)
-            error = float(photometric.detach() + prior.detach())
+            prior = self.cost_of_map(radiance, descending=True)
+            if k == steps - 1:
+                error = float(photometric.detach() + self.cost_of_map(radiance.detach()))
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
             assert logit.grad is not None
             logit.grad[held] = 0
@@ -312,7 +317,7 @@ class UnseenLightProblem:
         fit = UnseenFit(unseen, torch.sigmoid(logit).detach(), error)
         if self.judge is None:
             return fit
-        return replace(fit, error=self.judge.photometric(fit, palette) + float(self._prior(unseen.radiance)))
+        return replace(fit, error=self.judge.photometric(fit, palette) + float(self.cost_of_map(unseen.radiance)))
 
     @torch.no_grad()
     def photometric(self, fit: UnseenFit, palette: Palette) -> float:
@@ -337,15 +342,33 @@ class UnseenLightProblem:
         answers = response.any((1, 2))
         return offset, slope, response[answers], self.transport.of(answers)
 
-    def _prior(self, radiance: Tensor) -> Tensor:
-        """The cost of a map [rows, 2 rows, 3], whatever it explains."""
+    def cost_of_map(self, radiance: Tensor, descending: bool = False) -> Tensor:
+        """The cost of a map [rows, 2 rows, 3], whatever it explains.
+
+        Fits are judged by the form of their map: what no photo shows is scaled until it is as bright as expected. A map that
+        is brighter as a whole has larger differences. If these cost more, the light comes out too dark, and all albedos too
+        bright. While Adam is `descending`, the map keeps its own brightness, so that noise is smoothed away as usual. But
+        the gradient of this cost makes no map brighter or darker as a whole.
+        """
         p, area = self.preset, self._area
-        brightness, soft = tone_map(radiance), p.unseen_softness**2
+        brighter = self._brightness(radiance) - self._usual
+        scaled = brighter.detach() - brighter if descending else -brighter
+        form = radiance * (scaled * self.unseen.missing[..., None]).exp()
+        brightness, soft = tone_map(form), p.unseen_softness**2
         down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)
         variation = (area[1:] * (down**2 + soft).sqrt()).mean() + (area * (across**2 + soft).sqrt()).mean()
         deviation = (area * (brightness - self._expected).abs()).mean()
         colored = (area * (radiance - radiance.mean(-1, keepdim=True)).abs()).mean() / (area * radiance).mean()
-        return p.unseen_smoothness * variation + p.unseen_prior * deviation + p.unseen_color * colored
+        cost = p.unseen_smoothness * variation + p.unseen_prior * deviation + p.unseen_color * colored
+        return cost + p.unseen_scale * brighter.abs()
+
+    def _brightness(self, radiance: Tensor) -> Tensor:
+        """How bright a map [rows, 2 rows, 3] is as a whole where no photo looks, as a logarithm.
+
+        It is the mean of the square roots, so that neither a few lamps nor a few black texels decide.
+        """
+        root = radiance.mean(-1, keepdim=True).clamp_min(_LEAST_START).sqrt()
+        return 2 * (self._hidden * root).sum().clamp_min(1e-6).log()
 
     def _brightened(
         self, radiance: Tensor, offset: Tensor, slope: Tensor, sent_by: Callable[[Tensor], Tensor], materials: int
@@ -365,7 +388,7 @@ class UnseenLightProblem:
             of_material = torch.zeros(len(albedos), materials, 3, device=offset.device)
             lowest, place = of_material.index_add_(1, self.label, torch.stack(errors)).min(0)
             brightened = radiance * (1 + (gain - 1) * missing)
-            cost = float(lowest.sum()) / self.goal.numel() + float(self._prior(brightened))
+            cost = float(lowest.sum()) / self.goal.numel() + float(self.cost_of_map(brightened))
             if cost < least:
                 least, best = cost, (brightened, albedos[place])
         return best

@@ -71,7 +71,11 @@ class MaterialPreset:
     unseen_roughness_factors: tuple[float, ...] = (0.8, 1.25)
     """Factors by which a lower and a higher roughness are tried while the unseen light is learned."""
     unseen_prior: float = 1e-2
-    """Cost of the map's deviation from the expected one, so that it changes only if that explains the photos better."""
+    """Cost of the deviation of the map's form from the expected one, so that it changes only if that explains the photos
+    better."""
+    unseen_scale: float = 0.001
+    """Cost of a map that is brighter or darker as a whole than expected, for each unit of the logarithm. It is small,
+    because what the object reflects tells more, and not 0, because photos of one metal may tell nothing."""
     unseen_color: float = 0.01
     """Cost of the share of the map's flux that is not gray. It is needed because colored light on a gray object looks like
     white light on a colored object."""

@@ -337,6 +337,35 @@ def test_bright_paint_under_a_dark_sky_is_found_in_few_steps(ball):
     torch.testing.assert_close(fit.albedo, palette.albedo, rtol=0.2, atol=0.0)
 
 
+def map_and_problem(ball) -> tuple[torch.Tensor, UnseenLightProblem]:
+    """A map that is brighter than expected and rough, and the problem that asks for it."""
+    generator = torch.Generator().manual_seed(3)
+    start = UnseenLight.uniform(16, 4.0, "cpu", 0.5)
+    label = torch.zeros(4000, dtype=torch.int64)
+    problem = UnseenLightProblem(ball, start, label, torch.zeros(4000, 3), torch.arange(40), MaterialPreset())
+    return (0.8 * torch.randn(16, 32, 3, generator=generator)).exp(), problem
+
+
+@pytest.mark.parametrize("factor", [0.5, 3.0])
+def test_a_map_costs_by_its_form_and_hardly_by_its_brightness(ball, factor):
+    radiance, problem = map_and_problem(ball)
+    area = torch.sin((torch.arange(16) + 0.5) * math.pi / 16)[:, None].expand(16, 32)
+    root = float((area * radiance.mean(-1).sqrt()).sum() / area.sum())
+    brighter = [2 * math.log(root) + math.log(f / 0.5) for f in (1, factor)]
+    more = problem.cost_of_map(factor * radiance) - problem.cost_of_map(radiance)
+    expected = MaterialPreset().unseen_scale * (abs(brighter[1]) - abs(brighter[0]))
+    assert float(more) == pytest.approx(expected, abs=2e-6) and abs(expected) > 5e-4
+
+
+def test_the_cost_of_a_map_makes_it_no_darker_as_a_whole(ball):
+    radiance, problem = map_and_problem(ball)
+    raw = radiance.log().requires_grad_()
+    cost = problem.cost_of_map(raw.exp(), descending=True)
+    (gradient,) = torch.autograd.grad(cost, raw)
+    assert float(gradient.sum()) == pytest.approx(MaterialPreset().unseen_scale, abs=2e-6), "per unit of the logarithm"
+    assert float(gradient.abs().sum()) > 5 * MaterialPreset().unseen_scale, "but it smooths"
+
+
 def test_many_samples_on_many_threads_are_solved_the_same():
     """From 32,768 numbers on, torch sums the gradient of x[index] with atomic additions of all threads, in any order."""
     n, generator = 40_000, torch.Generator().manual_seed(0)
